@@ -1,0 +1,86 @@
+# `make demo` and `make test` do all set-up themselves on a fresh Debian
+# machine. Set-up happens once and again when setup.cfg changes.
+#
+#   make demo    record the shipped policy: out/demo.mp4
+#   make test    lint, format, types and every test
+#   make train   train the quickstart policy into runs/quickstart
+#   make lint    lint, format and types alone
+#   make clean   remove what make made, the environment included (not runs/)
+#
+# Variables: PYTHON (3.11 or later), TORCH (what pip installs as torch: a
+# version, a wheel, or `torch --index-url=URL` for an index of CPU wheels),
+# PYTEST_ARGS, TRAIN_ARGS.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DELETE_ON_ERROR:
+.PHONY: demo test train lint setup clean
+
+PYTHON ?= python3
+PYTEST_ARGS ?=
+TRAIN_ARGS ?=
+VENV := .venv
+BIN := $(VENV)/bin
+DEMO := out/demo.mp4
+SCHEDULE := walk_forward:3,leap_forward:4,idle:1
+
+# The pinned build is the CPU one where the index offers it.
+TORCH ?= $(if $(shell nvidia-smi -L 2>/dev/null),torch,torch==2.13.0)
+
+# $(call apt,PACKAGES): installs them where we may, else fails.
+apt = sudo=; [ "$$(id -u)" = 0 ] || sudo="sudo -n"; \
+  $$sudo true 2>/dev/null && command -v apt-get >/dev/null && \
+  { $$sudo apt-get update -qq || true; } && \
+  $$sudo env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq \
+    --no-install-recommends -o DPkg::Lock::Timeout=120 $(1) </dev/null
+
+demo: setup
+	mkdir -p $(dir $(DEMO))
+	$(BIN)/python -m dmc_multimode.bin.record --policy=quickstart \
+	  --schedule=$(SCHEDULE) --arena=flat --out=$(DEMO)
+	@echo "The video is $(CURDIR)/$(DEMO)"
+
+test: lint
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+train: setup
+	$(BIN)/python -m dmc_multimode.bin.train \
+	  --flagfile=flags/quickstart.flags --run_dir=runs/quickstart $(TRAIN_ARGS)
+
+setup: $(VENV)/installed $(VENV)/gl
+
+# Python of the environment: without ensurepip, venv leaves a broken one.
+$(BIN)/python:
+	@command -v $(PYTHON) >/dev/null && $(PYTHON) -c 'import ensurepip, venv' \
+	  2>/dev/null || { $(call apt,python3 python3-venv); } || { \
+	  echo "Python's venv is missing: apt-get install python3 python3-venv" >&2; \
+	  exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "Python 3.11 or later is needed: make PYTHON=python3.11" >&2; \
+	  exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+# torch first and apart: a bare `torch` brings gigabytes of CUDA.
+$(VENV)/installed: setup.cfg pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet $(TORCH)
+	$(BIN)/python -m pip install --quiet -e '.[dev,gym]'
+	@touch $@
+
+# Draws one frame. A machine that cannot still runs what draws nothing.
+gl = $(BIN)/python -m dmc_multimode.bin.gl >$@
+$(VENV)/gl: | $(VENV)/installed
+	@$(gl) 2>/dev/null || \
+	  { { $(call apt,libegl1 libgl1-mesa-dri); }; $(gl) 2>/dev/null; } || \
+	  { { $(call apt,libosmesa6); }; $(gl); } || \
+	  { rm -f $@; echo 'Going on without drawing.' >&2; }
+
+clean:
+	rm -rf $(VENV) out build dist *.egg-info .mypy_cache .pytest_cache \
+	  .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

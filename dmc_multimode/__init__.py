@@ -1,0 +1,1 @@
+"""Multimodal bipedal locomotion for dm_control."""

@@ -1,0 +1,129 @@
+"""How every binary of this package starts and ends.
+
+A binary is a module `dmc_multimode/bin/NAME.py` of this form; its console
+script `dmc-multimode-NAME` in `setup.cfg` points at `cli`:
+
+    def main(argv: Sequence[str]) -> None:
+      ...
+
+    def cli() -> None:
+      app.run(main)
+
+    if __name__ == '__main__':
+      cli()
+
+A binary that renders calls `gl.choose_backend()` first thing in `main` and
+imports whatever imports dm_control after that, inside `main`.
+
+Exit codes: 0 done; 1 flags that absl refuses, or a bug (with a traceback);
+2 something the user can put right (one line `error: ...` on stderr, and the
+traceback too with `--verbosity=1`); 130 interrupted.
+"""
+
+import functools
+import pathlib
+import re
+import sys
+import traceback
+from typing import Callable, NoReturn, Sequence
+
+from absl import app as absl_app
+from absl import logging
+
+from dmc_multimode import resources
+
+Main = Callable[[Sequence[str]], int | None]
+
+EXIT_ERROR = 2
+EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells report it.
+
+# What a wrong input, a missing file or a missing extra raises. Anything else
+# is a bug of ours and keeps its traceback.
+EXPECTED_ERRORS = (
+  ValueError,  # Names, numbers, schedules, malformed or foreign files.
+  OSError,  # Files that are missing or not writable; no GL library.
+  FloatingPointError,  # The NaN guard of a learner.
+  ModuleNotFoundError,  # An extra that is not installed.
+)
+
+_FLAGFILE = re.compile(r'--?flagfile(=(?P<value>.*))?', re.DOTALL)
+
+
+def run(main: Main, argv: Sequence[str] | None = None) -> NoReturn:
+  """Parses the flags, calls `main` and exits; see the module's docstring.
+
+  `--flagfile=flags/NAME.flags` means the packaged flagfile where there is no
+  such path, so that a command reads the same in a checkout and elsewhere.
+
+  Args:
+    main: Gets the program's name alone: these binaries take flags only, and
+      any other argument is an error. Its return value is the exit code.
+    argv: Command line, program name first; `sys.argv` if None.
+  """
+  try:
+    args = find_flagfiles(sys.argv if argv is None else argv)
+  except FileNotFoundError as error:
+    sys.exit(_report(error))
+  absl_app.run(functools.partial(_guard, main), argv=args)
+  raise AssertionError('absl.app.run returned')
+
+
+def find_flagfiles(argv: Sequence[str]) -> list[str]:
+  """Replaces `flags/NAME.flags` by the packaged file where it is not a path.
+
+  Args:
+    argv: Command line, in any of absl's spellings of `--flagfile`.
+
+  Returns:
+    A command line for absl; everything else in it is as it was.
+
+  Raises:
+    FileNotFoundError: If a flagfile is neither a path nor packaged.
+  """
+  found: list[str] = []
+  args = iter(argv)
+  for arg in args:
+    match = _FLAGFILE.fullmatch(arg)
+    if match:
+      value = match['value'] if match['value'] is not None else next(args, None)
+      arg = arg if value is None else f'--flagfile={_flagfile(value)}'
+    found.append(arg)
+    if arg == '--':  # absl parses nothing beyond.
+      found.extend(args)
+  return found
+
+
+def _flagfile(value: str) -> str:
+  """Path of one flagfile: itself where it exists, else the packaged one."""
+  path = pathlib.Path(value.strip()).expanduser()
+  if path.exists() and not path.is_dir():
+    return value
+  if path.parent == pathlib.Path('flags') and path.suffix == '.flags':
+    return str(resources.path('flags', path.name))
+  shipped = ', '.join(f'flags/{name}' for name in resources.names('flags'))
+  raise FileNotFoundError(f'no flagfile {value!r}; there is: {shipped}')
+
+
+def _guard(main: Main, argv: Sequence[str]) -> int:
+  """Calls `main` and turns what it may raise into an exit code."""
+  try:
+    if len(argv) > 1:
+      raise ValueError(f'unexpected argument {argv[1]!r}: use --flag=value')
+    return main(argv) or 0
+  except EXPECTED_ERRORS as error:
+    if logging.get_verbosity() >= logging.DEBUG:
+      traceback.print_exc()
+    return _report(error)
+  except KeyboardInterrupt:
+    print('interrupted', file=sys.stderr)
+    return EXIT_INTERRUPTED
+
+
+def _report(error: Exception) -> int:
+  """Prints an error as one line; returns the exit code."""
+  text = str(error)
+  if isinstance(error, OSError) and error.strerror and error.filename:
+    text = f'{error.strerror}: {error.filename}'
+  lines = [line.strip() for line in text.splitlines() if line.strip()]
+  print('error:', ' '.join(lines) or type(error).__name__, file=sys.stderr)
+  return EXIT_ERROR

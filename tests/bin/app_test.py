@@ -1,0 +1,199 @@
+"""Tests for app: each command runs as a process, as a user's would."""
+
+import pathlib
+import subprocess
+import sys
+
+import pytest
+
+from dmc_multimode import resources
+from dmc_multimode.bin import app
+
+_ROOT = pathlib.Path(__file__).resolve().parents[2]
+_BINARY = """
+import sys
+sys.path.insert(0, {root!r})
+from absl import flags
+from dmc_multimode.bin import app
+_STEPS = flags.DEFINE_integer('steps', 1, 'Steps.')
+
+def main(argv):
+  {body}
+
+app.run(main)
+"""
+
+
+class Binary:
+  """A binary with a given body of `main`, run in an empty folder."""
+
+  def __init__(self, folder: pathlib.Path) -> None:
+    self.folder = folder
+
+  def __call__(self, body: str, *args: str) -> subprocess.CompletedProcess[str]:
+    script = self.folder / 'binary.py'
+    script.write_text(_BINARY.format(root=str(_ROOT), body=body))
+    return subprocess.run(
+      [sys.executable, str(script), *args],
+      cwd=self.folder,
+      capture_output=True,
+      text=True,
+    )
+
+
+@pytest.fixture
+def binary(tmp_path: pathlib.Path) -> Binary:
+  return Binary(tmp_path)
+
+
+@pytest.mark.parametrize(
+  ('body', 'code'), [('pass', 0), ('return 0', 0), ('return 3', 3)]
+)
+def test_return_value_is_the_exit_code(
+  binary: Binary, body: str, code: int
+) -> None:
+  result = binary(body)
+  assert (result.returncode, result.stderr) == (code, '')
+
+
+@pytest.mark.parametrize(
+  ('body', 'line'),
+  [
+    ('raise ValueError("no task x")', 'error: no task x'),
+    ('raise ValueError("two\\n  lines")', 'error: two lines'),
+    ('raise ValueError', 'error: ValueError'),
+    ('raise FloatingPointError("loss")', 'error: loss'),
+    ('open("gone.json")', 'error: No such file or directory: gone.json'),
+    ('import no_such_extra', "error: No module named 'no_such_extra'"),
+  ],
+)
+def test_expected_errors_are_one_line(
+  binary: Binary, body: str, line: str
+) -> None:
+  result = binary(body)
+  assert (result.returncode, result.stdout) == (2, '')
+  assert result.stderr == f'{line}\n'
+
+
+def test_traceback_at_debug_verbosity(binary: Binary) -> None:
+  result = binary('raise ValueError("no task x")', '--verbosity=1')
+  assert result.returncode == 2
+  assert 'Traceback' in result.stderr
+  assert result.stderr.endswith('error: no task x\n')
+
+
+def test_a_bug_keeps_its_traceback(binary: Binary) -> None:
+  result = binary('raise TypeError("ours")')
+  assert result.returncode == 1
+  assert 'Traceback' in result.stderr
+
+
+def test_interrupt(binary: Binary) -> None:
+  result = binary('raise KeyboardInterrupt')
+  assert (result.returncode, result.stderr) == (130, 'interrupted\n')
+
+
+def test_arguments_that_are_no_flags(binary: Binary) -> None:
+  result = binary('print("ran")', 'quickstart')
+  assert (result.returncode, result.stdout) == (2, '')
+  assert "unexpected argument 'quickstart'" in result.stderr
+
+
+def test_unknown_flag(binary: Binary) -> None:
+  result = binary('print("ran")', '--stepz=3')
+  assert result.returncode not in (0, None)
+  assert 'stepz' in result.stderr
+  assert not result.stdout
+
+
+@pytest.fixture
+def shipped(
+  tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> pathlib.Path:
+  """An installation that ships `flags/shipped.flags`; an empty folder as cwd.
+
+  Returns:
+    The path of that flagfile.
+  """
+  package = tmp_path / 'site' / 'dmc_multimode'
+  flagfile = package / 'flags' / 'shipped.flags'
+  flagfile.parent.mkdir(parents=True)
+  flagfile.write_text('--steps=7\n')
+  monkeypatch.setattr(resources, '_PACKAGE', package)
+  empty = tmp_path / 'empty'
+  empty.mkdir()
+  monkeypatch.chdir(empty)
+  return flagfile
+
+
+@pytest.mark.parametrize(
+  'args',
+  [
+    ['--flagfile=flags/shipped.flags'],
+    ['-flagfile=flags/shipped.flags'],
+    ['--flagfile', 'flags/shipped.flags'],
+    ['-flagfile', './flags/shipped.flags'],
+  ],
+)
+def test_packaged_flagfile(shipped: pathlib.Path, args: list[str]) -> None:
+  assert app.find_flagfiles(['train', '--a=1', *args, '--b']) == [
+    'train',
+    '--a=1',
+    f'--flagfile={shipped}',
+    '--b',
+  ]
+
+
+def test_a_path_that_exists_comes_first(shipped: pathlib.Path) -> None:
+  del shipped
+  own = pathlib.Path('flags/shipped.flags')
+  own.parent.mkdir()
+  own.touch()
+  args = ['train', '--flagfile=flags/shipped.flags']
+  assert app.find_flagfiles(args) == args
+
+
+def test_other_arguments_are_left_alone(shipped: pathlib.Path) -> None:
+  del shipped
+  args = ['train', '--flagfiles=x', '--', '--flagfile=gone.flags']
+  assert app.find_flagfiles(args) == args
+  assert app.find_flagfiles(['train', '--flagfile']) == ['train', '--flagfile']
+
+
+@pytest.mark.parametrize(
+  'value',
+  [
+    'gone.flags',
+    'flags/gone.flags',
+    'other/shipped.flags',
+    'flags/../flags/shipped.flags',
+    '/flags/shipped.flags',
+    '.',
+  ],
+)
+def test_missing_flagfile(shipped: pathlib.Path, value: str) -> None:
+  del shipped
+  with pytest.raises(FileNotFoundError, match='shipped.flags'):
+    app.find_flagfiles(['train', f'--flagfile={value}'])
+
+
+def test_missing_flagfile_as_a_command(binary: Binary) -> None:
+  result = binary('print("ran")', '--flagfile=flags/gone.flags')
+  assert (result.returncode, result.stdout) == (2, '')
+  [line] = result.stderr.splitlines()
+  assert line.startswith('error: no flags')
+  assert 'gone.flags' in line
+
+
+def test_flags_of_a_flagfile_are_read(
+  binary: Binary, tmp_path: pathlib.Path
+) -> None:
+  (tmp_path / 'own.flags').write_text('--steps=7\n')
+  result = binary('print(_STEPS.value)', '--flagfile=own.flags')
+  assert (result.returncode, result.stdout) == (0, '7\n')
+
+
+def test_packaged_flagfiles_include_no_others() -> None:
+  """absl would look for an included one in the user's folder alone."""
+  for name in resources.names('flags'):
+    assert '--flagfile' not in resources.path('flags', name).read_text(), name
