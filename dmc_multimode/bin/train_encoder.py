@@ -1,0 +1,159 @@
+r"""Trains the mode encoder of a mode set and draws what it has learned.
+
+  python -m dmc_multimode.bin.train_encoder --modes=pi2 --out=DIR
+
+Writes encoder.safetensors, encoder.json and encoding.png into DIR.
+"""
+
+import os
+import pathlib
+import tempfile
+from typing import Sequence
+
+from absl import flags
+from matplotlib.backends import backend_agg
+import matplotlib.figure
+import numpy as np
+import tqdm
+
+from dmc_multimode.bin import app
+from dmc_multimode.modes import autoencoder
+from dmc_multimode.modes import encoder
+from dmc_multimode.modes import files
+from dmc_multimode.modes import library
+from dmc_multimode.modes import reference
+
+_FIGURE_FILE = 'encoding.png'
+_AXES = 'xyz'
+
+_MODES = flags.DEFINE_string(
+  'modes', 'pi2', 'A mode set (pi1, pi2, ...) or mode names with commas.'
+)
+_MODE_FILE = flags.DEFINE_string(
+  'mode_file', None, 'YAML or JSON file of your own modes, added to --modes.'
+)
+_OUT = flags.DEFINE_string('out', None, 'Directory to write to.')
+_SEED = flags.DEFINE_integer('seed', 0, 'Seed of the initial weights.')
+
+
+def main(argv: Sequence[str]) -> None:
+  """Checks the input, trains, then writes; `argv` holds no flags."""
+  del argv
+  motions = _motions(_MODES.value, _MODE_FILE.value)
+  reference.ReferenceBank(motions)  # Refuses duplicates before a bar shows.
+  config = encoder.EncoderConfig(
+    use_contacts=encoder.needs_contacts(motions), seed=_SEED.value
+  )
+  out = _writable(_OUT.value)
+  trained = _train(motions, config)
+  print(tables(trained))
+  figure = draw(trained)
+  trained.save(out)
+  figure.savefig(out / _FIGURE_FILE, dpi=120)
+  for name in (encoder.WEIGHTS_FILE, encoder.CONFIG_FILE, _FIGURE_FILE):
+    print(f'wrote {out / name}')
+
+
+def tables(trained: encoder.ModeEncoder) -> str:
+  """Returns the RMSE per mode and the distances between latents as text."""
+  names = list(trained.rmse())
+  width = max(len(name) for name in names)
+  lines = ['Reconstruction RMSE of the base position (cm)']
+  lines += [
+    f'  {name:<{width}}  {100 * error:5.2f}'
+    for name, error in trained.rmse().items()
+  ]
+  lines += ['', 'Distances between the standardised latents']
+  heading = ''.join(f'{i:>6}' for i in range(len(names)))
+  lines.append(f'  {"":>{width + 3}}{heading}')
+  for i, row in enumerate(trained.distances()):
+    cells = ''.join(f'{distance:6.2f}' for distance in row)
+    lines.append(f'  {i:>2} {names[i]:<{width}}{cells}')
+  ratio = trained.codebook().separation()
+  lines += ['', f'Smallest over mean distance: {ratio:.2f}']
+  return '\n'.join(lines)
+
+
+def draw(trained: encoder.ModeEncoder) -> matplotlib.figure.Figure:
+  """Draws the paper's encoding figure, a column a mode.
+
+  Base positions over time of the references on top, of the reconstructions in
+  the centre, and the latents as bars at the bottom.
+  """
+  motions, book = trained.motions, trained.codebook()
+  figure = matplotlib.figure.Figure(
+    figsize=(2.2 * len(motions) + 1.2, 6), layout='constrained'
+  )
+  backend_agg.FigureCanvasAgg(figure)  # Draws without a screen.
+  axes = figure.subplots(3, len(motions), squeeze=False)
+  for other in axes[:2].flat[1:]:  # One scale in metres for both rows.
+    other.sharey(axes[0, 0])
+  for other in axes[2, 1:]:
+    other.sharey(axes[2, 0])
+  reconstructed = trained.reconstruct(motions)
+  for column, motion in enumerate(motions):
+    wanted = autoencoder.features(motion, trained.config.use_contacts)
+    times = np.linspace(0.0, motion.duration, len(wanted))
+    for row, path in enumerate((wanted, reconstructed[column])):
+      for axis, colour in zip(range(3), ('C0', 'C1', 'C2'), strict=True):
+        axes[row, column].plot(
+          times, path[:, axis], color=colour, label=_AXES[axis]
+        )
+      axes[row, column].set_xlabel('time (s)')
+    bars = axes[2, column]
+    bars.bar(np.arange(1, book.latent_dim + 1), book.latents[column])
+    bars.axhline(0.0, color='black', linewidth=0.5)
+    bars.set_xlabel('latent dimension')
+    axes[0, column].set_title(motion.name)
+  for row, label in enumerate(
+    ('reference (m)', 'reconstruction (m)', 'latent')
+  ):
+    axes[row, 0].set_ylabel(label)
+  axes[0, 0].legend(fontsize='small')
+  return figure
+
+
+def _motions(
+  spec: str, mode_file: str | None
+) -> tuple[reference.ReferenceMotion, ...]:
+  """Returns the modes of `spec`, and those of a user's file behind them."""
+  extra = files.load(mode_file) if mode_file else ()
+  motions = library.resolve(spec, extra)
+  named = {motion.name for motion in motions}
+  return motions + tuple(m for m in extra if m.name not in named)
+
+
+def _writable(out: str | None) -> pathlib.Path:
+  """Makes the directory; raises ValueError or OSError if it is of no use."""
+  if not out:
+    raise ValueError('Say where to write to: --out=DIR.')
+  path = pathlib.Path(out)
+  os.makedirs(path, exist_ok=True)
+  with tempfile.TemporaryFile(dir=path):
+    return path
+
+
+def _train(
+  motions: Sequence[reference.ReferenceMotion], config: encoder.EncoderConfig
+) -> encoder.ModeEncoder:
+  """Trains under a progress bar."""
+  with tqdm.tqdm(desc='encoder', unit='epoch') as bar:
+
+    def show(progress: encoder.Progress) -> None:
+      bar.update()
+      bar.set_postfix_str(
+        f'worst RMSE {100 * progress.worst_rmse:.1f} cm, '
+        f'separation {progress.separation:.2f}',
+        refresh=False,
+      )
+
+    return encoder.train(motions, config, show)
+
+
+def cli() -> None:
+  """Runs the binary."""
+  app.run(main)
+
+
+if __name__ == '__main__':
+  cli()

@@ -1,0 +1,1 @@
+"""Locomotion modes: reference motions, schedules, latent encodings."""

@@ -1,0 +1,179 @@
+"""The named modes, and the sets that the paper's experiments train on."""
+
+import functools
+from typing import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from dmc_multimode.modes import reference
+
+STAND_HEIGHT = 0.5  # Nominal height of the trunk over its support, metres.
+
+_WALK_DURATION = 0.6  # Seconds for one stride of both feet.
+_WALK_SPEEDS = {  # m/s; forward covers the 2 m of Table III in 3.3 s.
+  'forward': 0.6,
+  'backward': 0.4,
+  'left': 0.3,
+  'right': 0.3,
+}
+_LEAP_DURATION = 1.2  # Seconds: crouch, flight, landing.
+_LEAP_LENGTHS = {  # Metres a cycle.
+  'forward': 0.6,
+  'backward': 0.4,
+  'left': 0.3,
+  'right': 0.3,
+}
+_DIRECTIONS = {
+  'forward': (1.0, 0.0),
+  'backward': (-1.0, 0.0),
+  'left': (0.0, 1.0),
+  'right': (0.0, -1.0),
+}
+_MIRRORED = {'left': 'right', 'right': 'left'}
+
+# Rough, yet near what gravity allows: 0.34 s of flight between take-off and
+# touch-down, in which more than half of the way is covered.
+_LEAP_PHASES = (0.0, 0.25, 0.42, 0.56, 0.70, 0.83, 1.0)
+_LEAP_PROGRESS = (0.0, 0.07, 0.23, 0.50, 0.77, 0.92, 1.0)
+_LEAP_HEIGHTS = (0.50, 0.43, 0.57, 0.68, 0.57, 0.45, 0.50)
+
+_LAUNCH_STEP = reference.TerrainStep(edge=0.27, height=0.4)
+_LAUNCH_DURATION = 1.1  # Seconds.
+_LAUNCH_PHASES = (0.0, 0.25, 0.42, 0.55, 0.67, 0.82, 1.0)
+_LAUNCH_X = (0.0, 0.02, 0.11, 0.26, 0.43, 0.56, 0.60)
+_LAUNCH_Z = (0.50, 0.40, 0.62, 0.90, 1.02, 0.88, 0.90)
+_LAUNCH_TAKEOFF = 0.42
+
+
+def _upright(count: int) -> np.ndarray:
+  return np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+
+
+def _idle() -> reference.ReferenceMotion:
+  return reference.ReferenceMotion(
+    name='idle',
+    kind=reference.STEADY,
+    duration=_WALK_DURATION,
+    phases=np.array([0.0, 1.0]),
+    positions=np.tile([0.0, 0.0, STAND_HEIGHT], (2, 1)),
+    orientations=_upright(2),
+    contacts=np.ones((2, 2)),
+    half_cycle_symmetric=True,
+  )
+
+
+def _level(
+  name: str, direction: str, contacts: np.ndarray, in_sync: bool
+) -> reference.ReferenceMotion:
+  """Constant height and speed; only the contacts tell walk from hop."""
+  distance = _WALK_SPEEDS[direction] * _WALK_DURATION
+  end = np.append(distance * np.array(_DIRECTIONS[direction]), STAND_HEIGHT)
+  start = np.array([0.0, 0.0, STAND_HEIGHT])
+  phases = np.linspace(0.0, 1.0, len(contacts))
+  return reference.ReferenceMotion(
+    name=f'{name}_{direction}',
+    kind=reference.PERIODIC,
+    duration=_WALK_DURATION,
+    phases=phases,
+    positions=start + phases[:, None] * (end - start),
+    orientations=_upright(len(phases)),
+    contacts=contacts,
+    mirror=f'{name}_{_MIRRORED.get(direction, direction)}',
+    half_cycle_symmetric=not in_sync,
+  )
+
+
+def _walk(direction: str) -> reference.ReferenceMotion:
+  contacts = np.array([[1, 0], [0, 1], [0, 1]])  # Left, then right stance.
+  return _level('walk', direction, contacts, in_sync=False)
+
+
+def _hop(direction: str) -> reference.ReferenceMotion:
+  contacts = np.array([[1, 1], [1, 1], [0, 0], [0, 0]])  # Flight: a third.
+  return _level('hop', direction, contacts, in_sync=True)
+
+
+def _leap(direction: str) -> reference.ReferenceMotion:
+  length = _LEAP_LENGTHS[direction]
+  path = np.outer(_LEAP_PROGRESS, np.array(_DIRECTIONS[direction]) * length)
+  flight = (np.array(_LEAP_PHASES) >= 0.42) & (np.array(_LEAP_PHASES) < 0.70)
+  return reference.ReferenceMotion(
+    name=f'leap_{direction}',
+    kind=reference.PERIODIC,
+    duration=_LEAP_DURATION,
+    phases=np.array(_LEAP_PHASES),
+    positions=np.column_stack([path, _LEAP_HEIGHTS]),
+    orientations=_upright(len(_LEAP_PHASES)),
+    contacts=np.repeat(~flight[:, None], 2, axis=1),
+    mirror=f'leap_{_MIRRORED.get(direction, direction)}',
+  )
+
+
+def _launch() -> reference.ReferenceMotion:
+  zeros = np.zeros(len(_LAUNCH_PHASES))
+  flight = (np.array(_LAUNCH_PHASES) >= _LAUNCH_TAKEOFF) & (
+    np.array(_LAUNCH_PHASES) < 0.82
+  )
+  return reference.ReferenceMotion(
+    name='launch',
+    kind=reference.TRANSIENT,
+    duration=_LAUNCH_DURATION,
+    phases=np.array(_LAUNCH_PHASES),
+    positions=np.column_stack([_LAUNCH_X, zeros, _LAUNCH_Z]),
+    orientations=_upright(len(_LAUNCH_PHASES)),
+    contacts=np.repeat(~flight[:, None], 2, axis=1),
+    step=_LAUNCH_STEP,
+    takeoff=_LAUNCH_TAKEOFF,
+  )
+
+
+@functools.cache
+def modes() -> Mapping[str, reference.ReferenceMotion]:
+  """Returns every mode of the library by its name."""
+  motions = [_idle()]
+  motions += [_walk(direction) for direction in _DIRECTIONS]
+  motions += [_leap(direction) for direction in _DIRECTIONS]
+  motions += [_hop('forward'), _launch()]
+  return {motion.name: motion for motion in motions}
+
+
+# Table I of the paper, and the short set that the quick start trains on.
+SETS: Mapping[str, tuple[str, ...]] = {
+  'pi1': ('idle',)
+  + tuple(f'walk_{d}' for d in _DIRECTIONS)
+  + tuple(f'leap_{d}' for d in _DIRECTIONS),
+  'pi2': ('idle', 'walk_forward', 'leap_forward', 'launch'),
+  'pi3': ('idle', 'walk_forward', 'hop_forward', 'leap_forward'),
+  'quickstart': ('idle', 'walk_forward', 'leap_forward'),
+}
+
+
+def resolve(
+  spec: str | Sequence[str],
+  extra: Iterable[reference.ReferenceMotion] = (),
+) -> tuple[reference.ReferenceMotion, ...]:
+  """Returns the motions that `spec` names, in order.
+
+  Args:
+    spec: a set's name ('pi2'), mode names separated by commas, or a sequence
+      of mode names.
+    extra: user modes that may be named besides the library's; they take
+      precedence over a library mode of the same name.
+
+  Raises:
+    ValueError: a name is unknown; the message lists the known ones.
+  """
+  known = {**modes(), **{motion.name: motion for motion in extra}}
+  if isinstance(spec, str):
+    names: Sequence[str] = SETS.get(spec) or [
+      n.strip() for n in spec.split(',')
+    ]
+  else:
+    names = spec
+  unknown = [name for name in names if name not in known]
+  if unknown:
+    raise ValueError(
+      f'Unknown mode {unknown[0]!r}; modes are {", ".join(known)}; '
+      f'sets are {", ".join(SETS)}.'
+    )
+  return tuple(known[name] for name in names)

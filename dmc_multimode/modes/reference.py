@@ -1,0 +1,261 @@
+"""Rough reference motions of the base: keyframes in, trajectories out.
+
+A mode is nothing but a few keyframes of the base (and optionally of the feet's
+contacts) over a normalised phase; see Sec. II-A of the paper. Nothing here
+knows about joints, physics or torch.
+
+Frames. Keyframes live in the *anchor frame* of a mode command: its origin is
+the point of the support plane under the base at the moment of the command, x
+points along the commanded heading, z up. Quaternions are (w, x, y, z).
+"""
+
+import dataclasses
+from typing import NamedTuple, Sequence
+
+import numpy as np
+from scipy.spatial import transform
+
+PERIODIC = 'periodic'  # The cycle repeats from where it ended.
+TRANSIENT = 'transient'  # Runs once, then holds its last pose and phase.
+STEADY = 'steady'  # One pose; only the clock runs.
+KINDS = (PERIODIC, TRANSIENT, STEADY)
+
+NUM_FEET = 2  # Contact states are ordered (left, right).
+_IDENTITY = (1.0, 0.0, 0.0, 0.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class TerrainStep:
+  """The change of support height that a mode is made for.
+
+  Attributes:
+    edge: distance from the start of the mode to the edge, in metres along x.
+    height: height of the support behind the edge over that before, in metres.
+  """
+
+  edge: float
+  height: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ReferenceMotion:
+  """One clip (a single cycle) of a locomotion mode.
+
+  Attributes:
+    name: what users call the mode.
+    kind: 'periodic', 'transient' or 'steady'.
+    duration: length of the clip at clock rate 1, in seconds.
+    phases: keyframe phases, rising from 0 to 1, shape [K].
+    positions: base positions in the anchor frame, in metres, shape [K, 3].
+    orientations: base orientations in the anchor frame, shape [K, 4].
+    contacts: feet on the ground (1) or not (0), held until the next keyframe,
+      shape [K, 2], or None where the mode leaves contacts free.
+    step: the terrain that the mode needs, or None for level ground.
+    takeoff: phase before which the mode may not be switched away from once it
+      has begun.
+    mirror: name of the mode that this one becomes when left and right are
+      exchanged; the mode itself by default.
+    half_cycle_symmetric: whether the reference looks the same half a cycle
+      later, so that its mirror image may run half a cycle out of phase.
+  """
+
+  name: str
+  kind: str
+  duration: float
+  phases: np.ndarray
+  positions: np.ndarray
+  orientations: np.ndarray
+  contacts: np.ndarray | None = None
+  step: TerrainStep | None = None
+  takeoff: float = 0.0
+  mirror: str = ''
+  half_cycle_symmetric: bool = False
+
+  def __post_init__(self) -> None:
+    as_array = lambda x: np.asarray(x, dtype=np.float64)
+    object.__setattr__(self, 'phases', as_array(self.phases))
+    object.__setattr__(self, 'positions', as_array(self.positions))
+    orientations = as_array(self.orientations)
+    norms = np.linalg.norm(orientations, axis=-1, keepdims=True)
+    if orientations.ndim != 2 or np.any(norms < 1e-6):
+      raise ValueError(f'{self.name}: orientations must be non-zero [K, 4].')
+    # Unit quaternions stay bit for bit what they are, so that a motion that is
+    # written to a file and read again is the same motion.
+    norms[np.abs(norms - 1.0) < 1e-12] = 1.0
+    object.__setattr__(self, 'orientations', orientations / norms)
+    if self.contacts is not None:
+      object.__setattr__(self, 'contacts', as_array(self.contacts))
+    object.__setattr__(self, 'mirror', self.mirror or self.name)
+    self._validate()
+
+  def _validate(self) -> None:
+    """Raises ValueError with one line that says what is wrong."""
+    k = len(self.phases)
+    shapes = {'positions': (k, 3), 'orientations': (k, 4)}
+    if self.contacts is not None:
+      shapes['contacts'] = (k, NUM_FEET)
+      if not np.isin(self.contacts, (0.0, 1.0)).all():
+        raise ValueError(f'{self.name}: contacts must be 0 or 1.')
+    for field, shape in shapes.items():
+      value = getattr(self, field)
+      if value.shape != shape:
+        raise ValueError(
+          f'{self.name}: {field} has shape {value.shape}, expected {shape}.'
+        )
+      if not np.isfinite(value).all():
+        raise ValueError(f'{self.name}: {field} must be finite.')
+    if self.kind not in KINDS:
+      raise ValueError(
+        f'{self.name}: kind {self.kind!r} is not one of {KINDS}.'
+      )
+    if not (np.isfinite(self.duration) and self.duration > 0):
+      raise ValueError(f'{self.name}: duration must be positive.')
+    if k < 2 or self.phases[0] != 0 or self.phases[-1] != 1:
+      raise ValueError(f'{self.name}: phases must run from 0 to 1.')
+    if not np.all(np.diff(self.phases) > 0):
+      raise ValueError(f'{self.name}: phases must rise strictly.')
+    if not 0 <= self.takeoff <= 1:
+      raise ValueError(f'{self.name}: takeoff must be a phase in [0, 1].')
+    if self.kind == STEADY and np.any(self.positions != self.positions[0]):
+      raise ValueError(f'{self.name}: a steady mode has one base position.')
+
+  def sample(self, phases: np.ndarray) -> 'Reference':
+    """Returns the reference at `phases`, shape [T], each in [0, 1]."""
+    phases = np.asarray(phases, dtype=np.float64)
+    bank = ReferenceBank([self])
+    return bank.sample(np.zeros(len(phases), dtype=np.int64), phases)
+
+
+class Reference(NamedTuple):
+  """Desired base pose and contacts; all arrays have a leading batch axis.
+
+  Attributes:
+    position: metres, [B, 3].
+    orientation: unit quaternions, [B, 4].
+    contact: desired feet contacts, [B, 2]; zero where the mode has none.
+    has_contact: whether the mode prescribes contacts, [B].
+  """
+
+  position: np.ndarray
+  orientation: np.ndarray
+  contact: np.ndarray
+  has_contact: np.ndarray
+
+
+class ReferenceBank:
+  """Several reference motions, evaluated together for a batch of worlds."""
+
+  def __init__(self, motions: Sequence[ReferenceMotion]) -> None:
+    """Stacks `motions`; their order gives the mode indices."""
+    if not motions:
+      raise ValueError('A mode set needs at least one mode.')
+    names = [m.name for m in motions]
+    if len(set(names)) != len(names):
+      raise ValueError(f'Mode names must be unique, got {names}.')
+    self.motions = tuple(motions)
+    self.names = tuple(names)
+    self.durations = np.array([m.duration for m in motions])
+    self.periodic = np.array([m.kind == PERIODIC for m in motions])
+    self.transient = np.array([m.kind == TRANSIENT for m in motions])
+    self.takeoffs = np.array([m.takeoff for m in motions])
+    self.has_contacts = np.array([m.contacts is not None for m in motions])
+    self._stack_keyframes()
+
+  def _stack_keyframes(self) -> None:
+    """Pads the keyframes to one table; a pad repeats the last keyframe."""
+    num, width = len(self.motions), max(len(m.phases) for m in self.motions)
+    self._phases = np.full((num, width), np.inf)
+    self._positions = np.zeros((num, width, 3))
+    self._orientations = np.tile(np.array(_IDENTITY), (num, width, 1))
+    self._contacts = np.zeros((num, width, NUM_FEET))
+    for i, motion in enumerate(self.motions):
+      k = len(motion.phases)
+      self._phases[i, :k] = motion.phases
+      self._positions[i, :k] = motion.positions
+      self._positions[i, k:] = motion.positions[-1]
+      self._orientations[i, :k] = motion.orientations
+      if motion.contacts is not None:
+        self._contacts[i, :k] = motion.contacts
+    start = _rotation(self._orientations[:, :-1].reshape(-1, 4))
+    end = _rotation(self._orientations[:, 1:].reshape(-1, 4))
+    # Rotation vector from each keyframe to the next: slerp is its scaling.
+    self._turns = (start.inv() * end).as_rotvec().reshape(num, width - 1, 3)
+    first, last = self._positions[:, 0], self._positions[:, -1]
+    self.displacements = np.where(self.periodic[:, None], last - first, 0.0)
+    # Yaw gained over one cycle; zero for modes that do not turn.
+    ends = np.stack([m.orientations[-1] for m in self.motions])
+    starts = np.stack([m.orientations[0] for m in self.motions])
+    self.turns = np.where(self.periodic, yaw(ends) - yaw(starts), 0.0)
+
+  def __len__(self) -> int:
+    return len(self.motions)
+
+  def index(self, name: str) -> int:
+    """Returns the index of a mode; raises ValueError naming the known ones."""
+    if name not in self.names:
+      raise ValueError(
+        f'Unknown mode {name!r}; this set has {", ".join(self.names)}.'
+      )
+    return self.names.index(name)
+
+  def sample(self, modes: np.ndarray, phases: np.ndarray) -> Reference:
+    """Evaluates the references in their anchor frames.
+
+    Args:
+      modes: mode indices, [B].
+      phases: phases in [0, 1], [B].
+
+    Returns:
+      The `Reference`: positions and contacts linearly interpolated and held,
+      respectively, orientations by spherical linear interpolation.
+    """
+    table = self._phases[modes]
+    left = np.sum(phases[:, None] >= table[:, 1:-1], axis=1)
+    rows = np.arange(len(phases))
+    t0, t1 = table[rows, left], table[rows, left + 1]
+    weight = ((phases - t0) / (t1 - t0))[:, None]
+    start = self._positions[modes, left]
+    position = start + weight * (self._positions[modes, left + 1] - start)
+    turn = _rotation_from_vector(weight * self._turns[modes, left])
+    orientation = (_rotation(self._orientations[modes, left]) * turn).as_quat(
+      scalar_first=True
+    )
+    return Reference(
+      position,
+      orientation,
+      self._contacts[modes, left],
+      self.has_contacts[modes],
+    )
+
+  def velocity(
+    self, modes: np.ndarray, phases: np.ndarray, step: float = 1e-3
+  ) -> np.ndarray:
+    """Base velocities at clock rate 1 by central difference.
+
+    Args:
+      modes: mode indices, [B].
+      phases: phases in [0, 1], [B].
+      step: half-width of the difference, in phase.
+
+    Returns:
+      Linear velocities in the anchor frame, in m/s, [B, 3].
+    """
+    before = np.clip(phases - step, 0.0, 1.0)
+    after = np.clip(phases + step, 0.0, 1.0)
+    moved = self.sample(modes, after).position
+    moved = moved - self.sample(modes, before).position
+    return moved / ((after - before) * self.durations[modes])[:, None]
+
+
+def yaw(quaternions: np.ndarray) -> np.ndarray:
+  """Returns the heading angle of quaternions [..., 4], in radians."""
+  w, x, y, z = np.moveaxis(np.asarray(quaternions), -1, 0)
+  return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def _rotation(quaternions: np.ndarray) -> transform.Rotation:
+  return transform.Rotation.from_quat(quaternions, scalar_first=True)
+
+
+def _rotation_from_vector(vectors: np.ndarray) -> transform.Rotation:
+  return transform.Rotation.from_rotvec(vectors)

@@ -1,0 +1,122 @@
+"""Which modes an episode practises: Algorithm 1 and its uniform baseline."""
+
+import dataclasses
+from typing import Any, Mapping
+
+import numpy as np
+
+
+@dataclasses.dataclass(frozen=True)
+class SamplingConfig:
+  """Parameters of Algorithm 1.
+
+  Attributes:
+    adaptive: sample poor modes and transitions more often; uniform otherwise.
+    gamma_initial: memory gamma_i of the modes' returns, in [0, 1).
+    gamma_final: memory gamma_f of the transitions' returns, in [0, 1).
+    epsilon: offset that keeps the best mode in the draw.
+  """
+
+  adaptive: bool = True
+  gamma_initial: float = 0.8
+  gamma_final: float = 0.8
+  epsilon: float = 0.2
+
+  def __post_init__(self) -> None:
+    for name in ('gamma_initial', 'gamma_final'):
+      if not 0 <= getattr(self, name) < 1:
+        raise ValueError(
+          f'{name} must be in [0, 1), got {getattr(self, name)}.'
+        )
+    if not self.epsilon >= 0:
+      raise ValueError(f'epsilon must not be negative, got {self.epsilon}.')
+
+
+def returns_to_probabilities(returns: np.ndarray, epsilon: float) -> np.ndarray:
+  """RETURNS2PROB of Algorithm 1: the poorer the return, the likelier.
+
+  Args:
+    returns: R, [..., n].
+    epsilon: offset after normalisation, at least 0.
+
+  Returns:
+    Probabilities along the last axis, [..., n]; uniform when all weights are 0.
+  """
+  k = -np.asarray(returns, dtype=np.float64)
+  k = k - k.min(axis=-1, keepdims=True)
+  largest = k.max(axis=-1, keepdims=True)
+  k = np.divide(k, largest, out=np.zeros_like(k), where=largest != 0)
+  k = k + epsilon
+  total = k.sum(axis=-1, keepdims=True)
+  uniform = np.full_like(k, 1.0 / k.shape[-1])
+  return np.divide(k, total, out=uniform, where=total != 0)
+
+
+class ModeSampler:
+  """Draws (m_i, m_f) pairs and learns from the episodes' returns."""
+
+  def __init__(self, num_modes: int, config: SamplingConfig):
+    """Starts with all returns at 0, as Algorithm 1 does."""
+    self._config = config
+    self.initial_returns = np.zeros(num_modes)  # R_i
+    self.final_returns = np.zeros((num_modes, num_modes))  # R_f
+
+  @property
+  def initial_probabilities(self) -> np.ndarray:
+    """p_i, [n]."""
+    if not self._config.adaptive:
+      return np.full_like(self.initial_returns, 1 / len(self.initial_returns))
+    return returns_to_probabilities(self.initial_returns, self._config.epsilon)
+
+  @property
+  def final_probabilities(self) -> np.ndarray:
+    """p_f, the row of an initial mode gives its final modes', [n, n]."""
+    if not self._config.adaptive:
+      return np.full_like(self.final_returns, 1 / len(self.initial_returns))
+    return returns_to_probabilities(self.final_returns, self._config.epsilon)
+
+  def sample(
+    self, count: int, random_state: np.random.RandomState
+  ) -> tuple[np.ndarray, np.ndarray]:
+    """Draws initial and final modes, [count] each."""
+    initial = _draw(
+      np.tile(self.initial_probabilities, (count, 1)), random_state
+    )
+    final = _draw(self.final_probabilities[initial], random_state)
+    return initial, final
+
+  def update(
+    self, initial: np.ndarray, final: np.ndarray, returns: np.ndarray
+  ) -> None:
+    """Adds finished episodes, one after the other: R <- gamma R + return."""
+    gamma_i, gamma_f = self._config.gamma_initial, self._config.gamma_final
+    for i, f, value in zip(initial, final, returns, strict=True):
+      self.initial_returns[i] = gamma_i * self.initial_returns[i] + value
+      self.final_returns[i, f] = gamma_f * self.final_returns[i, f] + value
+
+  def state(self) -> dict[str, np.ndarray]:
+    """Returns copies of everything that `restore` needs."""
+    return {
+      'initial_returns': self.initial_returns.copy(),
+      'final_returns': self.final_returns.copy(),
+    }
+
+  def restore(self, state: Mapping[str, Any]) -> None:
+    """Takes over a `state`; raises ValueError for another number of modes."""
+    for name in ('initial_returns', 'final_returns'):
+      value, mine = np.asarray(state[name]), getattr(self, name)
+      if value.shape != mine.shape:
+        raise ValueError(
+          f'The sampler has {name} of shape {mine.shape}, the checkpoint '
+          f'{value.shape}: it was made for another mode set.'
+        )
+      mine[:] = value
+
+
+def _draw(
+  probabilities: np.ndarray, random_state: np.random.RandomState
+) -> np.ndarray:
+  """Draws one index from each row of probabilities, [B, n] -> [B]."""
+  edges = np.cumsum(probabilities, axis=1)
+  draws = random_state.uniform(size=(len(probabilities), 1)) * edges[:, -1:]
+  return np.sum(draws >= edges[:, :-1], axis=1)

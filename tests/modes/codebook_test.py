@@ -1,0 +1,66 @@
+"""Tests of dmc_multimode.modes.codebook."""
+
+from absl.testing import absltest
+from absl.testing import parameterized
+import numpy as np
+
+from dmc_multimode.modes import codebook
+from dmc_multimode.modes import library
+
+
+class CodebookTest(parameterized.TestCase):
+  def test_one_hot(self) -> None:
+    book = codebook.one_hot(library.resolve('pi2'))
+    self.assertEqual(book.names, library.SETS['pi2'])
+    np.testing.assert_array_equal(book.latents, np.eye(4))
+    self.assertEqual(book.latents.dtype, np.float32)
+    self.assertEqual(book.latent_dim, 4)
+    self.assertLen(book, 4)
+    self.assertAlmostEqual(book.separation(), 1.0)
+
+  def test_distances_and_separation(self) -> None:
+    latents = np.array([[0, 0], [3, 4], [0, 1]])
+    book = codebook.Codebook(('a', 'b', 'c'), latents)
+    root = np.sqrt(18)
+    expected = [[0, 5, 1], [5, 0, root], [1, root, 0]]
+    np.testing.assert_allclose(book.distances(), expected, rtol=1e-6)
+    self.assertAlmostEqual(book.separation(), 3 / (6 + root), places=6)
+
+  def test_aliased_and_single_modes(self) -> None:
+    same = codebook.Codebook(('a', 'b'), np.ones((2, 4)))
+    self.assertEqual(same.separation(), 0.0)
+    self.assertEqual(codebook.one_hot(library.resolve('idle')).separation(), 1)
+
+  def test_is_a_frozen_copy(self) -> None:
+    latents = np.zeros((1, 2), dtype=np.float32)
+    book = codebook.Codebook(('a',), latents)
+    latents[0, 0] = 1.0
+    self.assertEqual(book.latents[0, 0], 0.0)
+    with self.assertRaises(ValueError):
+      book.latents[0, 0] = 1.0
+
+  def test_index(self) -> None:
+    book = codebook.one_hot(library.resolve('pi2'))
+    self.assertEqual(book.index('launch'), 3)
+    with self.assertRaisesRegex(ValueError, "'fly'.*idle"):
+      book.index('fly')
+
+  @parameterized.parameters(
+    ((), np.zeros((0, 4)), 'at least one'),
+    (('a', 'a'), np.zeros((2, 4)), 'unique'),
+    (('a', 'b'), np.zeros((3, 4)), r'\[2, n_m\]'),
+    (('a', 'b'), np.zeros(2), r'\[2, n_m\]'),
+    (('a',), np.zeros((1, 0)), r'\[1, n_m\]'),
+    (('a',), np.full((1, 2), np.nan), 'finite'),
+    (('a',), np.full((1, 2), 1e300), 'finite'),
+  )
+  def test_rejects(
+    self, names: tuple[str, ...], latents: np.ndarray, message: str
+  ) -> None:
+    with np.errstate(over='ignore'):
+      with self.assertRaisesRegex(ValueError, message):
+        codebook.Codebook(names, latents)
+
+
+if __name__ == '__main__':
+  absltest.main()

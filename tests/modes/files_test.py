@@ -1,0 +1,331 @@
+"""Tests of dmc_multimode.modes.files and fields."""
+
+import copy
+import json
+import os
+import pathlib
+import stat
+import tempfile
+from typing import Any
+
+from absl.testing import absltest
+from absl.testing import parameterized
+import hypothesis
+from hypothesis import strategies as st
+import numpy as np
+
+from dmc_multimode.modes import fields
+from dmc_multimode.modes import files
+from dmc_multimode.modes import library
+from dmc_multimode.modes import reference
+
+_YAML = """\
+name: turn_left
+kind: periodic
+duration: 0.9  # seconds
+takeoff: 0.25
+mirror: turn_right
+half_cycle_symmetric: true
+step: {edge: 0.3, height: -0.1}
+keyframes:
+  - phase: 0
+    position: [0, 0, 0.5]
+    contacts: [1, 0]
+  - phase: 5e-1
+    position: [0.1, 0, 0.5]
+    euler: [0, 0, 45]
+    contacts: [0, 1]
+  - phase: 1
+    position: [0.2, 0, .5]
+    orientation: [2, 0, 0, 2]
+    contacts: [true, false]
+"""
+
+
+def _assert_equal(
+  one: reference.ReferenceMotion, other: reference.ReferenceMotion
+) -> None:
+  """Asserts equality of every field, to the last bit."""
+  for field in vars(one):
+    wanted, found = getattr(one, field), getattr(other, field)
+    np.testing.assert_array_equal(found, wanted, err_msg=field)
+
+
+def _random_motion(seed: int) -> reference.ReferenceMotion:
+  rng = np.random.default_rng(seed)
+  size = int(rng.integers(2, 9))
+  phases = np.concatenate([[0.0], np.sort(rng.random(size - 2)), [1.0]])
+  return reference.ReferenceMotion(
+    name=f'random_{seed}',
+    kind=reference.TRANSIENT,
+    duration=rng.uniform(0.01, 5),
+    phases=phases,
+    positions=rng.normal(size=(size, 3)),
+    orientations=rng.normal(size=(size, 4)),
+    contacts=rng.integers(0, 2, (size, 2)) if rng.random() < 0.5 else None,
+    step=reference.TerrainStep(*rng.normal(size=2)),
+    takeoff=rng.random(),
+  )
+
+
+class _FilesTest(parameterized.TestCase):
+  def setUp(self) -> None:
+    super().setUp()
+    temporary = tempfile.TemporaryDirectory()
+    self.addCleanup(temporary.cleanup)
+    self.folder = pathlib.Path(temporary.name)
+
+  def write(self, text: str | bytes, name: str = 'modes.yaml') -> pathlib.Path:
+    path = self.folder / name
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    return path
+
+  def fails(self, path: pathlib.Path, where: str, message: str) -> None:
+    with self.assertRaises(files.ModeFileError) as caught:
+      files.load(path)
+    text = str(caught.exception)
+    self.assertStartsWith(text, f'{path}:{where}')
+    self.assertRegex(text, message)
+    self.assertNotIn('\n', text)
+
+
+class LoadTest(_FilesTest):
+  def test_every_field(self) -> None:
+    (motion,) = files.load(self.write(_YAML))
+    self.assertEqual(motion.name, 'turn_left')
+    self.assertEqual(motion.kind, reference.PERIODIC)
+    self.assertEqual(motion.duration, 0.9)
+    self.assertEqual(motion.takeoff, 0.25)
+    self.assertEqual(motion.mirror, 'turn_right')
+    self.assertIs(motion.half_cycle_symmetric, True)
+    self.assertEqual(motion.step, reference.TerrainStep(0.3, -0.1))
+    np.testing.assert_array_equal(motion.phases, [0, 0.5, 1])
+    np.testing.assert_array_equal(motion.positions[:, 0], [0, 0.1, 0.2])
+    np.testing.assert_array_equal(motion.contacts, [[1, 0], [0, 1], [1, 0]])
+    yaw = np.degrees(reference.yaw(motion.orientations))
+    np.testing.assert_allclose(yaw, [0, 45, 90], atol=1e-9)
+
+  def test_euler_is_roll_then_pitch_then_yaw(self) -> None:
+    text = _YAML.replace('[0, 0, 45]', '[90, 0, 90]')
+    (motion,) = files.load(self.write(text))
+    # The x axis stays in the roll and becomes y in the yaw.
+    np.testing.assert_allclose(motion.orientations[1], [0.5] * 4, atol=1e-12)
+
+  def test_optional_fields_have_defaults(self) -> None:
+    (motion,) = files.load(
+      self.write(
+        '{name: a, kind: steady, duration: 1, keyframes: '
+        '[{phase: 0, position: [0, 0, 1]}, {phase: 1, position: [0, 0, 1]}]}'
+      )
+    )
+    self.assertIsNone(motion.contacts)
+    self.assertIsNone(motion.step)
+    self.assertEqual(motion.mirror, 'a')
+    np.testing.assert_array_equal(motion.orientations, [[1, 0, 0, 0]] * 2)
+
+  @parameterized.parameters(None, 2, '\t')
+  def test_whole_library_as_json(self, indent: int | str | None) -> None:
+    motions = tuple(library.modes().values())
+    data = {'modes': [files.motion_to_dict(m) for m in motions]}
+    path = self.write(json.dumps(data, indent=indent), 'modes.json')
+    for wanted, found in zip(motions, files.load(path), strict=True):
+      _assert_equal(wanted, found)
+
+  @parameterized.parameters(range(20))
+  def test_dict_round_trip_is_exact(self, seed: int) -> None:
+    motion = _random_motion(seed)
+    data = json.loads(json.dumps(files.motion_to_dict(motion)))
+    _assert_equal(motion, files.motion_from_dict(data))
+
+  def test_from_dict_names_the_field(self) -> None:
+    data = files.motion_to_dict(_random_motion(0))
+    data['keyframes'][1]['position'] = [0, 0]
+    with self.assertRaisesRegex(
+      files.ModeFileError, r'^keyframes\[1\].position: .*3 numbers'
+    ):
+      files.motion_from_dict(data)
+
+
+class ErrorsTest(_FilesTest):
+  @parameterized.parameters(
+    ('name: turn_left', 'name: a b', 1, 'letters'),
+    ('name: turn_left', 'name: 7', 1, 'letters'),
+    ('name: turn_left', 'name: pi2', 1, 'mode set'),
+    ('name: turn_left', 'nome: turn_left', 1, "unknown field 'nome'.*name"),
+    ('name: turn_left\n', '', 1, "'name' is missing"),
+    ('periodic', 'sometimes', 2, 'periodic, transient'),
+    ('periodic', 'steady', 8, 'steady'),
+    ('0.9 ', '-0.9 ', 3, 'from 0 to 60'),
+    ('0.9 ', '0 ', 3, 'positive'),
+    ('0.9 ', '.nan ', 3, 'number'),
+    ('0.9 ', '1e999 ', 3, 'number'),
+    ('0.9 ', '"0.9" ', 3, 'number'),
+    ('0.9 ', 'true ', 3, 'number'),
+    ('0.9 ', ' ', 3, 'number.*None'),
+    ('0.9 ', '[1] ', 3, 'number'),
+    ('takeoff: 0.25', 'takeoff: 2', 4, 'from 0 to 1'),
+    ('turn_right', '[a]', 5, 'mirror'),
+    ('true\n', 'yes please\n', 6, 'true or false'),
+    ('edge: 0.3, ', '', 7, "'edge' is missing"),
+    ('edge: 0.3', 'edge: x', 7, 'number'),
+    ('{edge: 0.3, height: -0.1}', '3', 7, 'edge, height'),
+    ('phase: 0\n', 'phase: 0.1\n', 9, 'first phase'),
+    ('[0, 0, 0.5]', '[0, 0]', 10, '3 numbers'),
+    ('[0, 0, 0.5]', '[0, 0, .inf]', 10, 'number'),
+    ('[0, 0, 0.5]', '\n    - 0\n    - x\n    - 1', 12, 'number'),
+    ('    contacts: [1, 0]\n', '', 9, 'missing here'),
+    ('[1, 0]', '[1, 2]', 11, '0 or 1'),
+    ('[1, 0]', '3', 11, '0 or 1'),
+    ('[1, 0]', '[1, 0]\n    contacts: [1, 0]', 12, 'twice'),
+    ('phase: 5e-1', 'phase: 0', 12, 'rise'),
+    ('phase: 1\n', 'phase: 0.9\n', 16, 'last phase'),
+    ('euler: [0', 'orientation: [1, 0, 0, 0]\n    euler: [0', 15, 'not both'),
+    ('[2, 0, 0, 2]', '[0, 0, 0, 0]', 18, 'zero'),
+    ('takeoff: 0.25', 'name: again', 4, "'name' is given twice"),
+    ('takeoff: 0.25', '? [a]\n: 1', 4, 'plain text'),
+    ('takeoff: 0.25', '<<: {a: 1}', 4, 'unknown'),
+    ('takeoff: 0.25', 'takeoff: !!python/name:os.system', 4, 'not allowed'),
+    ('takeoff: 0.25', 'takeoff: &a 0.25\nmirror: *a', 5, 'aliases'),
+    ('takeoff: 0.25', f'takeoff: {"[" * 50}', 4, 'deep'),
+    ('takeoff: 0.25', 'takeoff: [', 6, 'expected'),
+    ('takeoff: 0.25', '\ttakeoff: 0.25', 4, '.'),
+    ('takeoff: 0.25', 'takeoff: \x00', 4, r'U\+0000'),
+    ('takeoff: 0.25', '---\n{}', 4, 'document'),
+  )
+  def test_names_the_line(
+    self, old: str, new: str, line: int, message: str
+  ) -> None:
+    self.assertIn(old, _YAML)
+    path = self.write(_YAML.replace(old, new, 1))
+    self.fails(path, f'{line}: ', message)
+
+  @parameterized.parameters(
+    ('', 1, 'empty'),
+    ('# nothing\n', 1, 'empty'),
+    ('modes: []', 1, 'at least one'),
+    ('modes: 3', 1, 'at least one'),
+    ('\nmodes:\n- 3', 3, 'fields name'),
+    ('- 3', 1, 'fields name'),
+    ('just text', 1, 'fields name'),
+    (b'name: a\nkind: \xff', 2, 'UTF-8'),
+  )
+  def test_other_content(
+    self, text: str | bytes, line: int, message: str
+  ) -> None:
+    self.fails(self.write(text), f'{line}: ', message)
+
+  def test_second_mode_of_a_name(self) -> None:
+    body = ''.join(f'    {line}\n' for line in _YAML.splitlines())
+    one = '  -\n' + body
+    path = self.write('modes:\n' + one + one)
+    self.fails(path, f'{len(body.splitlines()) + 4}: ', "'turn_left' is given")
+
+  @parameterized.parameters(
+    ('{\n"name": 3,\n}', '3: ', 'not JSON'),
+    ('{"a": ' + '[' * 100_000, '', 'deep'),
+    ('{"duration": ' + '1' * 5000 + '}', '1: ', 'too long|JSON'),
+  )
+  def test_json(self, text: str, line: str, message: str) -> None:
+    self.fails(self.write(text, 'modes.JSON'), line, message)
+
+  def test_too_large(self) -> None:
+    self.fails(self.write(' ' * (files.MAX_BYTES + 1)), ' ', 'larger than')
+
+  def test_too_many_keyframes(self) -> None:
+    frame = '{phase: 0, position: [0, 0, 1]},'
+    text = 'name: a\nkind: steady\nduration: 1\nkeyframes:\n '
+    text += f'[{frame * (fields.MAX_KEYFRAMES + 1)}]'
+    self.fails(self.write(text), '4: ', 'at most 1000')
+
+  def test_missing_file_and_folder(self) -> None:
+    self.fails(self.folder / 'none.yaml', ' ', 'No such file')
+    self.fails(self.folder, ' ', 'directory')
+
+
+_SCALARS = st.one_of(
+  st.none(),
+  st.booleans(),
+  st.integers(),
+  st.floats(),
+  st.text(max_size=5),
+  st.sampled_from(['periodic', 'steady', 'pi2', 0, 1, 1e300]),
+)
+_VALUES = st.recursive(
+  _SCALARS,
+  lambda inner: st.one_of(
+    st.lists(inner, max_size=4),
+    st.dictionaries(st.text(max_size=5), inner, max_size=3),
+  ),
+  max_leaves=6,
+)
+
+
+def _places(data: Any) -> list[tuple[Any, Any]]:
+  """Returns (container, key) of every value inside `data`."""
+  places = []
+  if isinstance(data, (dict, list)):
+    for key in data if isinstance(data, dict) else range(len(data)):
+      places.append((data, key))
+      places += _places(data[key])
+  return places
+
+
+class FuzzTest(_FilesTest):
+  def only_mode_file_errors(self, path: pathlib.Path) -> None:
+    try:
+      files.load(path)
+    except files.ModeFileError as error:
+      self.assertStartsWith(str(error), str(path))
+      self.assertLen(str(error).splitlines(), 1)
+
+  @hypothesis.settings(max_examples=150, deadline=None, derandomize=True)
+  @hypothesis.given(st.binary(max_size=80), st.sampled_from(['yaml', 'json']))
+  def test_bytes(self, content: bytes, kind: str) -> None:
+    self.only_mode_file_errors(self.write(content, f'a.{kind}'))
+
+  @hypothesis.settings(max_examples=150, deadline=None, derandomize=True)
+  @hypothesis.given(
+    st.integers(0, len(_YAML)),
+    st.integers(0, 5),
+    st.text('[]{}:,-?&*!|>\'"%@#\n\t 01aE.\\ux\u2028', max_size=6),
+  )
+  def test_edits(self, start: int, cut: int, text: str) -> None:
+    edited = _YAML[:start] + text + _YAML[start + cut :]
+    self.only_mode_file_errors(self.write(edited))
+
+  @hypothesis.settings(max_examples=200, deadline=None, derandomize=True)
+  @hypothesis.given(st.data())
+  def test_values(self, data: st.DataObject) -> None:
+    mode = copy.deepcopy(files.motion_to_dict(_random_motion(1)))
+    places = _places(mode)
+    container, key = places[data.draw(st.integers(0, len(places) - 1))]
+    container[key] = data.draw(_VALUES)
+    try:
+      files.motion_from_dict(mode)
+    except files.ModeFileError as error:
+      self.assertLen(str(error).splitlines(), 1)
+    path = self.write(json.dumps(mode), 'a.json')
+    self.only_mode_file_errors(path)
+
+
+class WriteAtomicallyTest(_FilesTest):
+  def test_replaces(self) -> None:
+    path = self.folder / 'file'
+    files.write_atomically(path, b'one')
+    files.write_atomically(path, b'two')
+    self.assertEqual(path.read_bytes(), b'two')
+    self.assertEqual(os.listdir(self.folder), ['file'])
+    umask = os.umask(0)
+    os.umask(umask)
+    self.assertEqual(stat.S_IMODE(path.stat().st_mode), 0o666 & ~umask)
+
+  def test_leaves_nothing_behind(self) -> None:
+    target = self.folder / 'folder'
+    (target / 'inside').mkdir(parents=True)
+    with self.assertRaises(OSError):
+      files.write_atomically(target, b'one')
+    self.assertEqual(os.listdir(self.folder), ['folder'])
+
+
+if __name__ == '__main__':
+  absltest.main()

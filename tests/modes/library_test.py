@@ -1,0 +1,116 @@
+"""Tests of dmc_multimode.modes.library."""
+
+import dataclasses
+
+from absl.testing import absltest
+from absl.testing import parameterized
+import numpy as np
+
+from dmc_multimode.modes import library
+from dmc_multimode.modes import reference
+
+_GRAVITY = 9.81  # m/s^2
+
+
+def _speed(name: str) -> np.ndarray:
+  bank = reference.ReferenceBank([library.modes()[name]])
+  return bank.displacements[0] / bank.durations[0]
+
+
+class LibraryTest(parameterized.TestCase):
+  def test_has_eleven_modes_under_their_names(self) -> None:
+    self.assertLen(library.modes(), 11)
+    for name, motion in library.modes().items():
+      self.assertEqual(name, motion.name)
+
+  @parameterized.parameters(*library.modes())
+  def test_starts_nominal_and_stays_sane(self, name: str) -> None:
+    motion = library.modes()[name]
+    np.testing.assert_allclose(motion.positions[0], [0, 0, 0.5])
+    bank = reference.ReferenceBank([motion])
+    phases = np.linspace(0, 1, 101)
+    modes = np.zeros(101, dtype=np.int64)
+    speed = np.linalg.norm(bank.velocity(modes, phases), axis=-1)
+    self.assertLess(speed.max(), 3.0)
+    height = bank.sample(modes, phases).position[:, 2]
+    self.assertGreaterEqual(height.min(), 0.4)
+
+  @parameterized.parameters(*library.modes())
+  def test_mirror_is_its_reflection(self, name: str) -> None:
+    motion = library.modes()[name]
+    mirror = library.modes()[motion.mirror]
+    self.assertEqual(mirror.mirror, name)
+    flip = np.array([1.0, -1.0, 1.0])
+    np.testing.assert_allclose(mirror.positions, motion.positions * flip)
+    if motion.contacts is None or mirror.contacts is None:
+      raise AssertionError('every library mode has contacts')
+    if not motion.half_cycle_symmetric:
+      np.testing.assert_array_equal(mirror.contacts, motion.contacts[:, ::-1])
+
+  @parameterized.parameters(
+    ('idle', [0, 0, 0]),
+    ('walk_forward', [0.6, 0, 0]),
+    ('walk_backward', [-0.4, 0, 0]),
+    ('walk_left', [0, 0.3, 0]),
+    ('walk_right', [0, -0.3, 0]),
+    ('leap_forward', [0.5, 0, 0]),
+    ('leap_left', [0, 0.25, 0]),
+    ('hop_forward', [0.6, 0, 0]),
+    ('launch', [0, 0, 0]),
+  )
+  def test_mean_velocity(self, name: str, expected: list[float]) -> None:
+    np.testing.assert_allclose(_speed(name), expected, atol=1e-12)
+
+  def test_leap_flies_about_as_gravity_allows(self) -> None:
+    motion = library.modes()['leap_forward']
+    heights = motion.positions[:, 2]
+    self.assertAlmostEqual(heights.max() - heights[0], 0.18)
+    if motion.contacts is None:
+      raise AssertionError('leap has contacts')
+    takeoff = int(np.flatnonzero(motion.contacts[:, 0] == 0)[0])
+    landing = int(np.flatnonzero(motion.contacts[:, 0] == 0)[-1]) + 1
+    flight = motion.duration * (motion.phases[landing] - motion.phases[takeoff])
+    rise = _GRAVITY * flight**2 / 8
+    self.assertAlmostEqual(rise, heights.max() - heights[takeoff], delta=0.05)
+
+  def test_hop_differs_from_walk_in_contacts_alone(self) -> None:
+    walk, hop = library.resolve('walk_forward,hop_forward')
+    phases = np.linspace(0, 1, 31)
+    one, other = walk.sample(phases), hop.sample(phases)
+    np.testing.assert_allclose(one.position, other.position, atol=1e-12)
+    self.assertFalse(np.array_equal(one.contact, other.contact))
+    np.testing.assert_array_equal(other.contact[:, 0], other.contact[:, 1])
+
+  def test_launch_lands_on_its_block(self) -> None:
+    launch = library.modes()['launch']
+    step = launch.step
+    if step is None:
+      raise AssertionError('launch needs a block')
+    x, _, z = launch.positions[-1]
+    self.assertAlmostEqual(z, library.STAND_HEIGHT + step.height)
+    self.assertGreater(x, step.edge)
+    self.assertGreater(launch.takeoff, 0)
+
+  @parameterized.parameters(('pi1', 9), ('pi2', 4), ('pi3', 4))
+  def test_sets_of_table_one(self, name: str, size: int) -> None:
+    motions = library.resolve(name)
+    self.assertLen(motions, size)
+    self.assertEqual([m.name for m in motions], list(library.SETS[name]))
+
+  def test_resolve_names(self) -> None:
+    by_text = library.resolve('launch, idle')
+    self.assertEqual([m.name for m in by_text], ['launch', 'idle'])
+    self.assertEqual(library.resolve(['launch', 'idle']), by_text)
+
+  def test_resolve_prefers_user_modes(self) -> None:
+    own = dataclasses.replace(library.modes()['idle'], duration=9.0)
+    self.assertEqual(library.resolve('idle', [own])[0].duration, 9.0)
+    self.assertEqual(library.resolve('idle')[0].duration, 0.6)
+
+  def test_resolve_names_what_it_knows(self) -> None:
+    with self.assertRaisesRegex(ValueError, "'fly'.*walk_forward.*pi1"):
+      library.resolve('idle,fly')
+
+
+if __name__ == '__main__':
+  absltest.main()

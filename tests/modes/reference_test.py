@@ -1,0 +1,175 @@
+"""Tests of dmc_multimode.modes.reference."""
+
+import dataclasses
+from typing import Any
+
+from absl.testing import absltest
+from absl.testing import parameterized
+import numpy as np
+
+from dmc_multimode.modes import reference
+
+_HALF = np.sqrt(0.5)
+
+
+def _motion(**changes: Any) -> reference.ReferenceMotion:
+  """A step forward and up, then a quarter turn to the left, in 2 s."""
+  fields: dict[str, Any] = {
+    'name': 'test',
+    'kind': reference.PERIODIC,
+    'duration': 2.0,
+    'phases': [0.0, 0.25, 1.0],
+    'positions': [[0, 0, 0.5], [0.4, 0, 0.7], [1.0, 0.3, 0.5]],
+    'orientations': [[1, 0, 0, 0], [1, 0, 0, 0], [_HALF, 0, 0, _HALF]],
+    'contacts': [[1, 0], [0, 1], [0, 1]],
+  }
+  return reference.ReferenceMotion(**{**fields, **changes})
+
+
+def _still(name: str = 'still') -> reference.ReferenceMotion:
+  return reference.ReferenceMotion(
+    name=name,
+    kind=reference.STEADY,
+    duration=1.0,
+    phases=np.array([0.0, 1.0]),
+    positions=np.array([[0, 0, 0.5], [0, 0, 0.5]]),
+    orientations=np.array([[1, 0, 0, 0], [1, 0, 0, 0]]),
+  )
+
+
+class ReferenceMotionTest(parameterized.TestCase):
+  @parameterized.parameters(
+    (0.0, [0, 0, 0.5]),
+    (0.125, [0.2, 0, 0.6]),
+    (0.25, [0.4, 0, 0.7]),
+    (0.5, [0.6, 0.1, 0.7 - 0.2 / 3]),
+    (1.0, [1.0, 0.3, 0.5]),
+  )
+  def test_position_is_linear_between_keyframes(
+    self, phase: float, expected: list[float]
+  ) -> None:
+    position = _motion().sample(np.array([phase])).position[0]
+    np.testing.assert_allclose(position, expected, atol=1e-12)
+
+  @parameterized.parameters((0.1, 0), (0.25, 0), (0.5, 30), (0.75, 60), (1, 90))
+  def test_orientation_turns_at_constant_rate(
+    self, phase: float, degrees: float
+  ) -> None:
+    orientation = _motion().sample(np.array([phase])).orientation[0]
+    half = np.radians(degrees) / 2
+    expected = [np.cos(half), 0, 0, np.sin(half)]
+    np.testing.assert_allclose(orientation, expected, atol=1e-12)
+    np.testing.assert_allclose(
+      reference.yaw(orientation), np.radians(degrees), atol=1e-12
+    )
+
+  def test_slerp_takes_the_short_way(self) -> None:
+    flipped = [[1, 0, 0, 0], [-1, 0, 0, 0], [-_HALF, 0, 0, -_HALF]]
+    phases = np.linspace(0, 1, 21)
+    one = _motion().sample(phases).orientation
+    other = _motion(orientations=flipped).sample(phases).orientation
+    alike = np.abs(np.sum(one * other, axis=-1))
+    np.testing.assert_allclose(alike, 1.0, atol=1e-12)
+
+  @parameterized.parameters((0.0, [1, 0]), (0.24, [1, 0]), (0.25, [0, 1]))
+  def test_contacts_hold_until_the_next_keyframe(
+    self, phase: float, expected: list[int]
+  ) -> None:
+    sampled = _motion().sample(np.array([phase, 1.0]))
+    np.testing.assert_array_equal(sampled.contact, [expected, [0, 1]])
+    np.testing.assert_array_equal(sampled.has_contact, [True, True])
+
+  def test_orientations_are_normalised_once(self) -> None:
+    motion = _motion(orientations=[[2, 0, 0, 0], [0, 3, 0, 0], [1, 2, 3, 4]])
+    norms = np.linalg.norm(motion.orientations, axis=-1)
+    np.testing.assert_allclose(norms, 1.0, atol=1e-15)
+    again = dataclasses.replace(motion)
+    np.testing.assert_array_equal(again.orientations, motion.orientations)
+
+  def test_mirror_is_the_mode_itself_by_default(self) -> None:
+    self.assertEqual(_motion().mirror, 'test')
+    self.assertEqual(_motion(mirror='other').mirror, 'other')
+
+  @parameterized.parameters(
+    ({'kind': 'sometimes'}, 'kind'),
+    ({'duration': 0.0}, 'duration'),
+    ({'duration': float('nan')}, 'duration'),
+    ({'duration': float('inf')}, 'duration'),
+    ({'phases': [0.1, 0.25, 1.0]}, 'from 0 to 1'),
+    ({'phases': [0.0, 0.25, 0.9]}, 'from 0 to 1'),
+    ({'phases': [0.0, 1.0, 1.0]}, 'rise'),
+    ({'phases': [0.0, 1.0]}, 'positions'),
+    ({'positions': np.zeros((3, 2))}, 'positions'),
+    ({'positions': np.full((3, 3), np.nan)}, 'finite'),
+    ({'orientations': np.zeros((3, 4))}, 'non-zero'),
+    ({'orientations': np.ones(4)}, r'\[K, 4\]'),
+    ({'orientations': np.full((3, 4), np.nan)}, 'finite'),
+    ({'contacts': np.full((3, 2), 0.5)}, 'contacts'),
+    ({'contacts': np.zeros((2, 2))}, 'contacts'),
+    ({'takeoff': 1.5}, 'takeoff'),
+    ({'takeoff': float('nan')}, 'takeoff'),
+    ({'kind': reference.STEADY}, 'steady'),
+  )
+  def test_rejects(self, changes: dict[str, Any], message: str) -> None:
+    with self.assertRaisesRegex(ValueError, message) as caught:
+      _motion(**changes)
+    self.assertNotIn('\n', str(caught.exception))
+
+
+class ReferenceBankTest(parameterized.TestCase):
+  def test_batch_equals_each_motion_alone(self) -> None:
+    motions = (_motion(), _still())
+    bank = reference.ReferenceBank(motions)
+    rng = np.random.default_rng(0)
+    modes, phases = rng.integers(0, 2, 200), rng.random(200)
+    phases[:4] = (0.0, 0.0, 1.0, 1.0)
+    together = bank.sample(modes, phases)
+    for i, motion in enumerate(motions):
+      alone = motion.sample(phases[modes == i])
+      for field, values in zip(alone._fields, alone, strict=True):
+        batched = getattr(together, field)[modes == i]
+        np.testing.assert_allclose(batched, values, atol=1e-12)
+
+  def test_periodic_modes_alone_move_on(self) -> None:
+    transient = _motion(name='once', kind=reference.TRANSIENT)
+    bank = reference.ReferenceBank([_motion(), transient, _still()])
+    expected = np.array([[1.0, 0.3, 0.0], [0, 0, 0], [0, 0, 0]])
+    np.testing.assert_allclose(bank.displacements, expected, atol=1e-12)
+    np.testing.assert_allclose(bank.turns, [np.pi / 2, 0, 0], atol=1e-12)
+
+  @parameterized.parameters(
+    (0.1, [0.8, 0.0, 0.4]),
+    (0.0, [0.8, 0.0, 0.4]),
+    (0.5, [0.4, 0.2, -0.4 / 3]),
+    (1.0, [0.4, 0.2, -0.4 / 3]),
+  )
+  def test_velocity_is_the_slope(
+    self, phase: float, expected: list[float]
+  ) -> None:
+    bank = reference.ReferenceBank([_still(), _motion()])
+    velocity = bank.velocity(np.array([1, 0]), np.array([phase, phase]))
+    np.testing.assert_allclose(velocity[0], expected, atol=1e-9)
+    np.testing.assert_allclose(velocity[1], [0, 0, 0], atol=1e-9)
+
+  def test_has_contacts(self) -> None:
+    bank = reference.ReferenceBank([_motion(), _still()])
+    sampled = bank.sample(np.array([1, 0]), np.array([0.0, 0.0]))
+    np.testing.assert_array_equal(sampled.has_contact, [False, True])
+    np.testing.assert_array_equal(sampled.contact, [[0, 0], [1, 0]])
+
+  def test_index(self) -> None:
+    bank = reference.ReferenceBank([_motion(), _still()])
+    self.assertLen(bank, 2)
+    self.assertEqual(bank.index('still'), 1)
+    with self.assertRaisesRegex(ValueError, "'walk'.*test, still"):
+      bank.index('walk')
+
+  def test_rejects_no_modes_and_duplicates(self) -> None:
+    with self.assertRaisesRegex(ValueError, 'at least one'):
+      reference.ReferenceBank([])
+    with self.assertRaisesRegex(ValueError, 'unique'):
+      reference.ReferenceBank([_still(), _still()])
+
+
+if __name__ == '__main__':
+  absltest.main()

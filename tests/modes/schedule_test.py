@@ -1,0 +1,124 @@
+"""Tests of dmc_multimode.modes.schedule."""
+
+from typing import Any
+
+from absl.testing import absltest
+from absl.testing import parameterized
+import numpy as np
+
+from dmc_multimode.modes import library
+from dmc_multimode.modes import reference
+from dmc_multimode.modes import schedule
+
+_NEVER = np.iinfo(np.int64).max
+
+
+def _bank() -> reference.ReferenceBank:
+  return reference.ReferenceBank(library.resolve('pi2'))
+
+
+class ModeScheduleTest(parameterized.TestCase):
+  def test_start_steps(self) -> None:
+    plan = schedule.ModeSchedule(
+      np.zeros((2, 3), dtype=np.int64),
+      np.array([[0.0, 0.3, 0.46], [0.0, 1.2, np.inf]]),
+      np.ones(2),
+    )
+    self.assertLen(plan, 2)
+    np.testing.assert_array_equal(
+      plan.start_steps(0.03), [[0, 10, 15], [0, 40, _NEVER]]
+    )
+
+  @parameterized.parameters(
+    ({'modes': np.zeros(2)}, 'one shape'),
+    ({'starts': np.zeros((1, 3))}, 'one shape'),
+    ({'modes': np.zeros((1, 0)), 'starts': np.zeros((1, 0))}, 'one shape'),
+    ({'clock_rate': np.ones(2)}, 'clock rate'),
+    ({'starts': np.array([[0.1, 0.2]])}, 'time 0'),
+    ({'starts': np.array([[0.0, 0.0]])}, 'rise'),
+    ({'starts': np.array([[0.0, np.nan]])}, 'rise'),
+    ({'clock_rate': np.zeros(1)}, 'positive'),
+    ({'clock_rate': np.array([np.nan])}, 'positive'),
+    ({'clock_rate': np.array([np.inf])}, 'positive'),
+  )
+  def test_rejects(self, changes: dict[str, Any], message: str) -> None:
+    fields: dict[str, Any] = {
+      'modes': np.zeros((1, 2), dtype=np.int64),
+      'starts': np.array([[0.0, 1.0]]),
+      'clock_rate': np.ones(1),
+    }
+    with self.assertRaisesRegex(ValueError, message):
+      schedule.ModeSchedule(**{**fields, **changes})
+
+
+class BuildersTest(parameterized.TestCase):
+  def test_single(self) -> None:
+    plan = schedule.single(np.array([2, 0]), clock_rate=1.5)
+    np.testing.assert_array_equal(plan.modes, [[2], [0]])
+    np.testing.assert_array_equal(plan.starts, [[0], [0]])
+    np.testing.assert_array_equal(plan.clock_rate, [1.5, 1.5])
+
+  def test_transitions_switch_after_clips_and_phase(self) -> None:
+    bank = _bank()
+    walk, launch = bank.index('walk_forward'), bank.index('launch')
+    plan = schedule.transitions(
+      bank,
+      initial=np.array([walk, walk, launch, launch]),
+      final=np.array([0, 2, 0, 1]),
+      clips=np.array([0, 1, 0, 1]),
+      phases=np.array([0.25, 0.5, 0.25, 0.25]),
+    )
+    np.testing.assert_array_equal(plan.modes[:, 1], [0, 2, 0, 1])
+    # Walk lasts 0.6 s; launch 1.1 s, and is not left before phase 0.42.
+    expected = [0.15, 0.9, 0.42 * 1.1, 1.25 * 1.1]
+    np.testing.assert_allclose(plan.starts[:, 1], expected)
+
+  def test_from_knots(self) -> None:
+    plan = schedule.from_knots(np.array([[1, 0, 2]]), 0.3, clock_rate=0.8)
+    np.testing.assert_array_equal(plan.modes, [[1, 0, 2]])
+    np.testing.assert_allclose(plan.starts, [[0, 0.3, 0.6]])
+    np.testing.assert_allclose(plan.clock_rate, [0.8])
+
+  @parameterized.parameters(0.0, -1.0, float('nan'))
+  def test_from_knots_rejects(self, duration: float) -> None:
+    with self.assertRaisesRegex(ValueError, 'longer than 0'):
+      schedule.from_knots(np.array([[1, 0]]), duration)
+
+  def test_from_names(self) -> None:
+    names, durations = schedule.parse('walk_forward:2, leap_forward:3,idle:1')
+    plan = schedule.from_names(_bank(), names, durations)
+    np.testing.assert_array_equal(plan.modes, [[1, 2, 0]])
+    np.testing.assert_allclose(plan.starts, [[0, 2, 5]])
+
+  @parameterized.parameters(
+    (['fly'], [1.0], "'fly'"),
+    (['idle'], [-1.0], 'positive'),
+    (['idle'], [float('inf')], 'positive'),
+    (['idle'], [], 'as many'),
+    ([], [], 'at least 1'),
+  )
+  def test_from_names_rejects(
+    self, names: list[str], durations: list[float], message: str
+  ) -> None:
+    with self.assertRaisesRegex(ValueError, message):
+      schedule.from_names(_bank(), names, durations)
+
+  @parameterized.parameters(
+    '',
+    'idle',
+    'idle:',
+    ':2',
+    'idle:0',
+    'idle:-1',
+    'idle:nan',
+    'idle:inf',
+    'idle:1,',
+    'idle:1:2',
+  )
+  def test_parse_rejects(self, text: str) -> None:
+    with self.assertRaisesRegex(ValueError, 'MODE:SECONDS'):
+      schedule.parse(text)
+
+
+if __name__ == '__main__':
+  absltest.main()
