@@ -180,6 +180,7 @@ class ReferenceBank:
     end = _rotation(self._orientations[:, 1:].reshape(-1, 4))
     # Rotation vector from each keyframe to the next: slerp is its scaling.
     self._turns = (start.inv() * end).as_rotvec().reshape(num, width - 1, 3)
+    self._turning = self._turns.any(axis=(1, 2))
     first, last = self._positions[:, 0], self._positions[:, -1]
     self.displacements = np.where(self.periodic[:, None], last - first, 0.0)
     # Yaw gained over one cycle; zero for modes that do not turn.
@@ -209,23 +210,43 @@ class ReferenceBank:
       The `Reference`: positions and contacts linearly interpolated and held,
       respectively, orientations by spherical linear interpolation.
     """
+    left, weight = self._locate(modes, phases)
+    return Reference(
+      self._position(modes, left, weight),
+      self._orientation(modes, left, weight),
+      self._contacts[modes, left],
+      self.has_contacts[modes],
+    )
+
+  def _locate(
+    self, modes: np.ndarray, phases: np.ndarray
+  ) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the last keyframes, [B], and how far on to the next, [B, 1]."""
     table = self._phases[modes]
     left = np.sum(phases[:, None] >= table[:, 1:-1], axis=1)
     rows = np.arange(len(phases))
     t0, t1 = table[rows, left], table[rows, left + 1]
-    weight = ((phases - t0) / (t1 - t0))[:, None]
+    return left, ((phases - t0) / (t1 - t0))[:, None]
+
+  def _position(
+    self, modes: np.ndarray, left: np.ndarray, weight: np.ndarray
+  ) -> np.ndarray:
     start = self._positions[modes, left]
-    position = start + weight * (self._positions[modes, left + 1] - start)
-    turn = _rotation_from_vector(weight * self._turns[modes, left])
-    orientation = (_rotation(self._orientations[modes, left]) * turn).as_quat(
-      scalar_first=True
-    )
-    return Reference(
-      position,
-      orientation,
-      self._contacts[modes, left],
-      self.has_contacts[modes],
-    )
+    return start + weight * (self._positions[modes, left + 1] - start)
+
+  def _orientation(
+    self, modes: np.ndarray, left: np.ndarray, weight: np.ndarray
+  ) -> np.ndarray:
+    orientation = self._orientations[modes, left]
+    # Few modes turn at all, and the products cost more than all the rest.
+    rows = np.flatnonzero(self._turning[modes])
+    if len(rows):
+      turn = _rotation_from_vector(
+        weight[rows] * self._turns[modes[rows], left[rows]]
+      )
+      turned = _rotation(orientation[rows]) * turn
+      orientation[rows] = turned.as_quat(scalar_first=True)
+    return orientation
 
   def velocity(
     self, modes: np.ndarray, phases: np.ndarray, step: float = 1e-3
@@ -242,8 +263,8 @@ class ReferenceBank:
     """
     before = np.clip(phases - step, 0.0, 1.0)
     after = np.clip(phases + step, 0.0, 1.0)
-    moved = self.sample(modes, after).position
-    moved = moved - self.sample(modes, before).position
+    moved = self._position(modes, *self._locate(modes, after))
+    moved = moved - self._position(modes, *self._locate(modes, before))
     return moved / ((after - before) * self.durations[modes])[:, None]
 
 

@@ -1,0 +1,1 @@
+"""Tracks of box segments: level ground, gaps, plateaus, blocks, parkour."""

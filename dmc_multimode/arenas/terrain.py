@@ -1,0 +1,124 @@
+"""Terrain as segments along x: pure functions with a leading batch axis.
+
+A terrain is a row of box segments, sorted by where they start. The support
+plane under a point is the top of the last segment that starts at or before it,
+so that over a gap it stays that of the segment before the gap.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+BOX_THICKNESS = 1.0  # Metres from the top of a segment to its underside.
+HALF_WIDTH = 4.0  # Metres to either side of the track's axis.
+_PARKED = -100.0  # Height of the boxes that a terrain does not use, metres.
+
+
+class Terrain(NamedTuple):
+  """Segments of B terrains, S places each; unused places start at infinity.
+
+  Attributes:
+    starts: where each segment begins, metres, [B, S], rising along S.
+    ends: where it ends, metres, [B, S].
+    tops: height of its upper face, metres, [B, S].
+  """
+
+  starts: np.ndarray
+  ends: np.ndarray
+  tops: np.ndarray
+
+  def rows(self, ids: np.ndarray) -> 'Terrain':
+    """Returns the terrains `ids` as copies."""
+    return Terrain(*(field[ids].copy() for field in self))
+
+  def write(self, ids: np.ndarray, other: 'Terrain') -> None:
+    """Overwrites the terrains `ids` in place with those of `other`."""
+    for mine, theirs in zip(self, other, strict=True):
+      mine[ids] = theirs
+
+
+def empty(num_worlds: int, num_segments: int) -> Terrain:
+  """Returns terrains without any segment."""
+  shape = (num_worlds, num_segments)
+  return Terrain(
+    np.full(shape, np.inf), np.full(shape, np.inf), np.zeros(shape)
+  )
+
+
+def support_height(terrain: Terrain, x: np.ndarray) -> np.ndarray:
+  """Returns the height of the support plane under `x`, metres, [B].
+
+  Args:
+    terrain: B terrains.
+    x: world positions in metres, [B].
+  """
+  rows = np.arange(len(terrain.starts))
+  return terrain.tops[rows, _segment_under(terrain, x)]
+
+
+def clearance_height(
+  terrain: Terrain, x: np.ndarray, reach: float
+) -> np.ndarray:
+  """Returns the highest top within `reach` metres of `x`, [B]."""
+  near = (terrain.starts <= x[:, None] + reach) & (
+    terrain.ends >= x[:, None] - reach
+  )
+  near[np.arange(len(x)), _segment_under(terrain, x)] = True
+  return np.where(near, terrain.tops, -np.inf).max(axis=1)
+
+
+def with_step(
+  terrain: Terrain, x: np.ndarray, edge: np.ndarray, height: float
+) -> Terrain:
+  """Returns terrains that step up or down ahead of `x` and stay level behind.
+
+  The segment under `x` is cut at `edge`, one new segment takes over until where
+  the terrain used to end, and what stood ahead is dropped.
+
+  Args:
+    terrain: B terrains.
+    x: positions in metres, [B].
+    edge: position of the step in metres, [B], ahead of `x`.
+    height: of the new segment over the support plane under `x`, in metres.
+
+  Raises:
+    ValueError: no place is left for one more segment.
+  """
+  starts, ends, tops = (field.copy() for field in terrain)
+  rows, under = np.arange(len(x)), _segment_under(terrain, x)
+  if np.any(under + 1 >= starts.shape[1]):
+    raise ValueError(
+      f'The track has only {starts.shape[1]} segments, all in use; build it '
+      'with more to command another mode that steps up or down.'
+    )
+  used = np.where(np.isinf(ends), -np.inf, ends)
+  last = np.maximum(used.max(axis=1), edge + 1.0)
+  behind = np.arange(starts.shape[1]) > under[:, None]
+  starts[behind], ends[behind], tops[behind] = np.inf, np.inf, 0.0
+  ends[rows, under] = edge
+  starts[rows, under + 1] = edge
+  ends[rows, under + 1] = last
+  tops[rows, under + 1] = tops[rows, under] + height
+  return Terrain(starts, ends, tops)
+
+
+def boxes(terrain: Terrain) -> tuple[np.ndarray, np.ndarray]:
+  """Returns centres and half-sizes of the boxes, metres, both [B, S, 3]."""
+  used = np.isfinite(terrain.starts)
+  starts = np.where(used, terrain.starts, 0.0)
+  ends = np.where(used, terrain.ends, 1.0)
+  top = np.where(used, terrain.tops, _PARKED)
+  zeros = np.zeros_like(starts)
+  half_thickness = BOX_THICKNESS / 2
+  centres = np.stack(
+    [(starts + ends) / 2, zeros, top - half_thickness], axis=-1
+  )
+  halves = np.stack(
+    [(ends - starts) / 2, zeros + HALF_WIDTH, zeros + half_thickness], axis=-1
+  )
+  return centres, halves
+
+
+def _segment_under(terrain: Terrain, x: np.ndarray) -> np.ndarray:
+  """Index of the last segment that starts at or before x, [B]."""
+  return np.maximum(np.sum(terrain.starts <= x[:, None], axis=1) - 1, 0)

@@ -1,0 +1,354 @@
+"""A Composer arena over a pool of boxes that is rearranged, never recompiled.
+
+Each segment is a mocap body with one box geom. Two facts make that work: a
+mocap body's pose is part of the state, whereas moving a static geom leaves its
+bounding volumes stale and silently disables its contacts; and a box's new size
+must reach `geom_rbound`, `geom_aabb` and `bvh_aabb` too.
+"""
+
+from typing import Any, Callable, Mapping, NamedTuple, Sequence, TypeAlias
+
+from dm_control import composer
+from dm_control.composer import variation
+import numpy as np
+
+from dmc_multimode.arenas import terrain as terrain_lib
+
+_START = -20.0  # Metres: the ground begins this far behind the origin.
+_RUN_OUT = 20.0  # Metres of ground behind the last obstacle.
+_COLOURS = ('.70 .74 .78 1', '.62 .67 .72 1')
+
+Number: TypeAlias = float | variation.Variation
+
+
+class Piece(NamedTuple):
+  """One stretch of a track; every size may be a dm_control Variation.
+
+  Attributes:
+    length: metres along x.
+    height: of its top over the ground at the start, in metres.
+    gap: metres of nothing before it.
+  """
+
+  length: Number
+  height: Number = 0.0
+  gap: Number = 0.0
+
+
+Layout = Sequence[Piece] | Callable[[np.random.RandomState], Sequence[Piece]]
+
+
+class Track(composer.Arena):
+  """Box segments along x; the robot starts at the origin, facing +x."""
+
+  def _build(
+    self,
+    layout: Layout,
+    num_segments: int,
+    adaptive: bool = False,
+    name: str = 'track',
+  ) -> None:
+    """Builds the pool of boxes.
+
+    Args:
+      layout: the pieces from x = 0 on, or a function that draws them. The first
+        piece also reaches back behind the origin, the last one runs out.
+      num_segments: size of the pool. More than the layout needs leaves places
+        for the steps that modes such as launch call for.
+      adaptive: whether a step (a block, say) is put where a commanded mode
+        needs it, as in training; otherwise the track stays as it was drawn.
+      name: of the arena.
+
+    Raises:
+      ValueError: `num_segments` is not positive.
+    """
+    super()._build(name=name)
+    if num_segments < 1:
+      raise ValueError(f'num_segments must be positive, got {num_segments}.')
+    self._layout = layout
+    self._fixed = not callable(layout) and not any(
+      isinstance(size, variation.Variation) for p in layout for size in p
+    )
+    self._num_segments = num_segments
+    self.adaptive = adaptive
+    self._terrain = terrain_lib.empty(1, num_segments)
+    self._drawn: terrain_lib.Terrain | None = None
+    self._add_visuals()
+    self._geoms = [self._add_segment(i) for i in range(num_segments)]
+
+  def _add_visuals(self) -> None:
+    root = self._mjcf_root
+    root.visual.headlight.set_attributes(
+      ambient=[0.32] * 3, diffuse=[0.22] * 3, specular=[0.05] * 3
+    )
+    root.visual.map.znear = 0.005
+    # Without a GPU shadows cost half of a frame, and much more at 2048.
+    root.visual.quality.shadowsize = 1024
+    root.statistic.center, root.statistic.extent = [0, 0, 0.5], 3.0
+    # The boxes and feet need far less; set so that no growth is ever needed.
+    root.size.memory = '2M'
+    root.asset.add(
+      'texture',
+      name='sky',
+      type='skybox',
+      builtin='gradient',
+      rgb1=[0.75, 0.84, 0.92],
+      rgb2=[0.95, 0.96, 0.98],
+      width=128,
+      height=128,
+    )
+    texture = root.asset.add(
+      'texture',
+      name='grid',
+      type='2d',
+      builtin='checker',
+      rgb1=[0.92, 0.93, 0.94],
+      rgb2=[0.80, 0.83, 0.86],
+      width=256,
+      height=256,
+    )
+    self._material = root.asset.add(
+      'material',
+      name='grid',
+      texture=texture,
+      texuniform=True,
+      texrepeat=[2, 2],
+    )
+    # From behind, so that walls ahead are lit; shadows are of the robot's own
+    # light, for a light that stands still has none beyond a few metres.
+    root.worldbody.add(
+      'light',
+      pos=[0, 0, 6],
+      dir=[0.6, 0.1, -1],
+      directional=True,
+      castshadow=False,
+      diffuse=[0.2] * 3,
+      specular=[0] * 3,
+    )
+    root.worldbody.add(
+      'camera',
+      name='overview',
+      pos=[1.0, -5.5, 2.0],
+      xyaxes=[1, 0, 0, 0, 0.3, 1],
+    )
+
+  def _add_segment(self, index: int) -> Any:
+    body = self._mjcf_root.worldbody.add(
+      'body', name=f'segment_{index}', mocap=True, pos=[0, 0, -100 - index]
+    )
+    return body.add(
+      'geom',
+      name=f'segment_{index}',
+      type='box',
+      size=[0.5, terrain_lib.HALF_WIDTH, terrain_lib.BOX_THICKNESS / 2],
+      material=self._material,
+      rgba=_COLOURS[index % len(_COLOURS)],
+      contype=0,
+      conaffinity=1,
+      friction=[0.9, 0.005, 0.0001],
+    )
+
+  @property
+  def num_segments(self) -> int:
+    """Size of the pool of boxes."""
+    return self._num_segments
+
+  @property
+  def ground_geoms(self) -> tuple[Any, ...]:
+    """The boxes' geoms, in the order of the segments."""
+    return tuple(self._geoms)
+
+  @property
+  def terrain(self) -> terrain_lib.Terrain:
+    """The terrain that stands now (a batch of one)."""
+    return self._terrain
+
+  def generate(
+    self, random_state: np.random.RandomState
+  ) -> terrain_lib.Terrain:
+    """Draws a terrain (a batch of one) without touching any physics.
+
+    Raises:
+      ValueError: the layout has more pieces than the pool has boxes, or a piece
+        has no positive length or a negative gap.
+    """
+    if self._fixed and self._drawn is not None:
+      return self._drawn
+    pieces = (
+      self._layout(random_state) if callable(self._layout) else (self._layout)
+    )
+    if not 0 < len(pieces) <= self._num_segments:
+      raise ValueError(
+        f'A layout of {len(pieces)} pieces does not fit {self._num_segments} '
+        'segments.'
+      )
+    self._drawn = _place(
+      [
+        Piece(
+          *(
+            float(variation.evaluate(s, random_state=random_state))
+            for s in piece
+          )
+        )
+        for piece in pieces
+      ],
+      self._num_segments,
+    )
+    return self._drawn
+
+  def apply(self, physics: Any, terrain: terrain_lib.Terrain) -> None:
+    """Moves and resizes the boxes of a Composer physics to `terrain`."""
+    self._terrain = terrain
+    centres, halves = terrain_lib.boxes(terrain)
+    geoms = physics.bind(self._geoms)
+    bodies = physics.bind([geom.parent for geom in self._geoms])
+    bodies.mocap_pos = centres[0]
+    bodies.pos = centres[0]  # Where a reset of the physics puts them.
+    model, geom_ids = physics.model, np.asarray(geoms.element_id)
+    body_ids = model.geom_bodyid[geom_ids]
+    write_sizes(
+      halves[0],
+      geom_ids,
+      model.body_bvhadr[body_ids],
+      model.geom_size,
+      model.geom_rbound,
+      model.geom_aabb,
+      model.bvh_aabb,
+    )
+
+  def regenerate(
+    self, physics: Any, random_state: np.random.RandomState
+  ) -> None:
+    """Draws a new terrain; a task calls it at the start of an episode."""
+    self.apply(physics, self.generate(random_state))
+
+  def after_compile(
+    self, physics: Any, random_state: np.random.RandomState
+  ) -> None:
+    """Puts the boxes in place, so that no task need know about them."""
+    del random_state  # A recompilation must not change the terrain.
+    if not np.isfinite(self._terrain.starts[0, 0]):
+      self._terrain = self.generate(np.random.RandomState(0))
+    self.apply(physics, self._terrain)
+
+
+def write_sizes(
+  halves: np.ndarray,
+  geom_ids: np.ndarray,
+  bvh_ids: np.ndarray,
+  geom_size: np.ndarray,
+  geom_rbound: np.ndarray,
+  geom_aabb: np.ndarray,
+  bvh_aabb: np.ndarray,
+) -> None:
+  """Writes box sizes and every bounding volume that depends on them, in place.
+
+  Args:
+    halves: half-sizes in metres, [..., S, 3].
+    geom_ids: the boxes' geoms, [S].
+    bvh_ids: the leaf nodes of their bodies' bounding-volume trees, [S].
+    geom_size, geom_rbound, geom_aabb, bvh_aabb: the model's fields, with the
+      leading axes of `halves`.
+  """
+  geom_size[..., geom_ids, :] = halves
+  geom_rbound[..., geom_ids] = np.linalg.norm(halves, axis=-1)
+  geom_aabb[..., geom_ids, 3:] = halves
+  bvh_aabb[..., bvh_ids, 3:] = halves
+
+
+def _place(pieces: Sequence[Piece], num_segments: int) -> terrain_lib.Terrain:
+  """Lays pieces of plain numbers end to end."""
+  result = terrain_lib.empty(1, num_segments)
+  x = 0.0
+  for i, piece in enumerate(pieces):
+    if not piece.length > 0 or piece.gap < 0:
+      raise ValueError(f'Piece {i} needs length > 0 and gap >= 0: {piece}.')
+    x += float(piece.gap)
+    result.starts[0, i] = x if i else _START
+    x += float(piece.length)
+    result.ends[0, i] = x
+    result.tops[0, i] = piece.height
+  result.ends[0, len(pieces) - 1] += _RUN_OUT
+  return result
+
+
+def flat() -> Sequence[Piece]:
+  """Level ground."""
+  return (Piece(length=20.0),)
+
+
+def gap(distance: Number = 0.8, width: Number = 0.45) -> Sequence[Piece]:
+  """A gap of `width` metres that begins `distance` metres ahead."""
+  return (Piece(distance), Piece(20.0, gap=width))
+
+
+def plateau(
+  distance: Number = 0.7, length: Number = 0.6, height: Number = 0.2
+) -> Sequence[Piece]:
+  """A plateau to climb and to leave again."""
+  return (Piece(distance), Piece(length, height), Piece(20.0))
+
+
+def block(distance: Number = 0.8, height: Number = 0.4) -> Sequence[Piece]:
+  """A block to launch onto, without end."""
+  return (Piece(distance), Piece(20.0, height))
+
+
+def gap_block(
+  distance: Number = 0.6,
+  width: Number = 0.45,
+  landing: Number = 0.6,
+  height: Number = 0.4,
+) -> Sequence[Piece]:
+  """A gap, `landing` metres of ground, then a block."""
+  return (Piece(distance), Piece(landing, gap=width), Piece(20.0, height))
+
+
+_PARKOUR_OBSTACLES = 3
+_PARKOUR_GAP = (0.2, 0.45)  # Metres.
+_PARKOUR_PLATEAU = (0.05, 0.2)  # Metres.
+_PARKOUR_BLOCK = (0.2, 0.4)  # Metres.
+_PARKOUR_RUN = (0.6, 1.0)  # Metres between obstacles.
+
+
+def parkour(random_state: np.random.RandomState) -> Sequence[Piece]:
+  """Gaps, plateaus and blocks of random size in random order."""
+  run = lambda: random_state.uniform(*_PARKOUR_RUN)
+  pieces, ground = [Piece(run())], 0.0
+  for kind in random_state.permutation(_PARKOUR_OBSTACLES):
+    if kind == 0:
+      pieces.append(Piece(run(), ground, random_state.uniform(*_PARKOUR_GAP)))
+    elif kind == 1:
+      rise = random_state.uniform(*_PARKOUR_PLATEAU)
+      pieces += [Piece(run(), ground + rise), Piece(run(), ground)]
+    else:
+      ground += random_state.uniform(*_PARKOUR_BLOCK)
+      pieces.append(Piece(run(), ground))
+  return pieces
+
+
+LAYOUTS: Mapping[str, Layout] = {
+  'flat': flat(),
+  'gap': gap(),
+  'plateau': plateau(),
+  'block': block(),
+  'gap_block': gap_block(),
+  'parkour': parkour,
+}
+_MOST_PIECES = 6  # Of any layout above.
+
+
+def make(name: str, num_segments: int = _MOST_PIECES) -> Track:
+  """Returns the named track.
+
+  Only 'flat' is adaptive: the other tracks are there to be mastered as they
+  are.
+
+  Raises:
+    ValueError: the name is unknown; the message lists the known ones.
+  """
+  if name not in LAYOUTS:
+    raise ValueError(
+      f'Unknown arena {name!r}; arenas are {", ".join(LAYOUTS)}.'
+    )
+  return Track(LAYOUTS[name], num_segments, adaptive=name == 'flat')

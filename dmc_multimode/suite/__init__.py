@@ -1,0 +1,86 @@
+"""The suite: `load` its tasks by name, or through dm_control's own `load`.
+
+    from dmc_multimode import suite
+    env = suite.load('multimode_biped', 'walk_forward')
+
+Importing this module registers the domain, so that afterwards
+`dm_control.suite.load('multimode_biped', 'walk_forward')` works as well.
+"""
+
+from typing import Any, Mapping
+
+from dm_control import composer
+from dm_control import suite as dm_suite
+
+from dmc_multimode.suite import multimode_biped
+
+DOMAIN = 'multimode_biped'
+ALL_TASKS: tuple[tuple[str, str], ...] = tuple(
+  (DOMAIN, name) for name in multimode_biped.SUITE
+)
+
+# dm_control freezes its tuples of tasks at import: name -> tag of each.
+_TAGGED = {
+  'ALL_TASKS': None,
+  'BENCHMARKING': 'benchmarking',
+  'EASY': 'easy',
+  'HARD': 'hard',
+  'NO_REWARD_VIZ': 'no_reward_visualization',
+}
+
+
+def load(
+  domain_name: str,
+  task_name: str,
+  task_kwargs: Mapping[str, Any] | None = None,
+  environment_kwargs: Mapping[str, Any] | None = None,
+  visualize_reward: bool = False,
+) -> composer.Environment:
+  """Returns an environment, with the signature of dm_control's `suite.load`.
+
+  Args:
+    domain_name: 'multimode_biped', or any domain of dm_control.
+    task_name: of the task.
+    task_kwargs: for the task's factory: `time_limit`, `random`.
+    environment_kwargs: for the environment's constructor.
+    visualize_reward: whether the robot's eye shows the reward.
+
+  Raises:
+    ValueError: the domain or task is unknown; the message lists ours.
+  """
+  if domain_name == DOMAIN and task_name not in multimode_biped.SUITE:
+    raise ValueError(
+      f'Unknown task {task_name!r}; {DOMAIN} has '
+      f'{", ".join(multimode_biped.SUITE)}.'
+    )
+  register()
+  return dm_suite.load(
+    domain_name, task_name, task_kwargs, environment_kwargs, visualize_reward
+  )
+
+
+def register() -> None:
+  """Puts the domain into dm_control's registry; doing so again is harmless.
+
+  Raises:
+    ValueError: another domain of this name is registered already.
+  """
+  domains = dm_suite._DOMAINS  # The registry has no public door.
+  registered = domains.get(DOMAIN)
+  if registered is multimode_biped:
+    return
+  if registered is not None:
+    raise ValueError(
+      f'dm_control already has a domain {DOMAIN!r} ({registered}): remove it '
+      'before importing dmc_multimode.suite.'
+    )
+  domains[DOMAIN] = multimode_biped
+  for name, tag in _TAGGED.items():
+    setattr(dm_suite, name, dm_suite._get_tasks(tag))
+  everything = set(dm_suite.ALL_TASKS)
+  dm_suite.EXTRA = tuple(sorted(everything - set(dm_suite.BENCHMARKING)))
+  dm_suite.REWARD_VIZ = tuple(sorted(everything - set(dm_suite.NO_REWARD_VIZ)))
+  dm_suite.TASKS_BY_DOMAIN = dm_suite._get_tasks_by_domain(dm_suite.ALL_TASKS)
+
+
+register()

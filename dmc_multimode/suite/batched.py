@@ -1,0 +1,360 @@
+"""The imitation task on `mujoco.batch`: N worlds, one call.
+
+The model is compiled from the arena and walker of a Composer `Imitation` task,
+and the task itself is the same `ImitationCore`, so that policies move freely
+between the two.
+"""
+
+from typing import Any, Mapping, NamedTuple
+
+from dm_env import specs
+import mujoco
+from mujoco import batch as mujoco_batch
+import numpy as np
+
+from dmc_multimode.arenas import terrain as terrain_lib
+from dmc_multimode.arenas import track as track_lib
+from dmc_multimode.suite import imitation
+from dmc_multimode.suite import imitation_core
+from dmc_multimode.suite import mini_biped
+from dmc_multimode.suite import mirror
+from dmc_multimode.suite import observations
+
+
+class EpisodeResults(NamedTuple):
+  """Episodes that ended in this step, N of them.
+
+  Attributes:
+    worlds: where, [N].
+    initial, final: indices of their first and last modes, [N].
+    returns: normalised returns, sum of rewards over horizon x sum of w, [N].
+    lengths: control steps, [N].
+    causes: why they ended, index into `terminations.CAUSES`; 0 for the time
+      limit, [N].
+  """
+
+  worlds: np.ndarray
+  initial: np.ndarray
+  final: np.ndarray
+  returns: np.ndarray
+  lengths: np.ndarray
+  causes: np.ndarray
+
+
+class BatchedTimeStep(NamedTuple):
+  """One control step of B worlds.
+
+  Attributes:
+    reward: [B].
+    discount: 0 where the episode terminated, 1 elsewhere (also at the time
+      limit), [B]: the mask for bootstrapping.
+    last: whether the episode ended, [B]: the mask for cutting.
+    observation: what the next action sees; where `last`, that of the next
+      episode, float32 [B, 33 + n_m].
+    final_observation: of the worlds that ended, before their reset, float32
+      [N, 33 + n_m], in the order of `results.worlds`.
+    results: the episodes that ended.
+  """
+
+  reward: np.ndarray
+  discount: np.ndarray
+  last: np.ndarray
+  observation: np.ndarray
+  final_observation: np.ndarray
+  results: EpisodeResults
+
+
+class BatchedImitation:
+  """B worlds of an `Imitation` task, stepped together on a thread pool."""
+
+  def __init__(
+    self,
+    task: imitation.Imitation,
+    num_worlds: int,
+    seed: int | np.random.RandomState,
+    num_threads: int = 0,
+    auto_reset: bool = True,
+  ):
+    """Compiles the task's model; call `reset` before `step`.
+
+    Args:
+      task: its arena, walker, modes, episodes and configuration are used; its
+        own physics is not touched.
+      num_worlds: B.
+      seed: of all randomness; the same seed gives the same worlds at any number
+        of threads.
+      num_threads: of the physics; 0 takes every core.
+      auto_reset: whether a world that ends begins anew by itself. Without, it
+        just runs on, and only its first end is reported.
+    """
+    self.config = task.config
+    self.episodes = task.episodes
+    self.motions, self.codebook = task.motions, task.codebook
+    self.num_worlds = num_worlds
+    self._arena = task.root_entity
+    self._walker = task.walker
+    self._action_spec = task.walker.action_spec
+    self._auto_reset = auto_reset
+    self._random_state = (
+      seed
+      if isinstance(seed, np.random.RandomState)
+      else np.random.RandomState(seed)
+    )
+    self.core = task.make_core(num_worlds, task.episodes.max_knots)
+    self._set_up_physics(_compile(task), num_threads)
+    self._returns = np.zeros(num_worlds)
+    self._initial = np.zeros(num_worlds, dtype=np.int64)
+    self._final = np.zeros(num_worlds, dtype=np.int64)
+    self._ended = np.zeros(num_worlds, dtype=bool)
+    self._total_steps = 0
+    self.outcome: imitation_core.Outcome | None = None
+
+  def _set_up_physics(self, model: mujoco.MjModel, num_threads: int) -> None:
+    self.model = model
+    self.batch = mujoco_batch.Batch(model, self.num_worlds, num_threads)
+    self.qpos, self.qvel = self.batch.bind('qpos'), self.batch.bind('qvel')
+    self._ctrl = self.batch.bind('ctrl')
+    self._touch = self.batch.bind('sensordata')
+    self._boxes = [
+      model.geom(geom.full_identifier).id for geom in self._arena.ground_geoms
+    ]
+    bodies = model.geom_bodyid[self._boxes]
+    self._mocaps = model.body_mocapid[bodies]
+    self._mocap_pos = self.batch.bind('mocap_pos')
+    self._bvhs = model.body_bvhadr[bodies]
+    self._sizes = {
+      name: self.batch.expand(name)
+      for name in ('geom_size', 'geom_rbound', 'geom_aabb', 'bvh_aabb')
+    }
+
+  def observation_spec(self) -> specs.Array:
+    """One world's observation, float32 [33 + n_m]; see `observations`."""
+    size = 2 + self.codebook.latent_dim + observations.STATE_SIZE
+    return specs.Array((size,), np.float32, name='observation')
+
+  def action_spec(self) -> specs.BoundedArray:
+    """One world's action: joint targets in radians, [10]."""
+    return self._action_spec
+
+  def standing_action(self) -> np.ndarray:
+    """Returns joint targets that hold the initial crouch, radians, [10]."""
+    return mini_biped.standing_action(self.model)
+
+  def mirror_image(self) -> mirror.MirrorImage:
+    """Returns how to exchange left and right; see `mirror.mirror_image`."""
+    return mirror.mirror_image(self.motions, self.codebook)
+
+  @property
+  def control_timestep(self) -> float:
+    """Seconds between actions."""
+    return self.config.control_timestep
+
+  def reset(self) -> np.ndarray:
+    """Begins an episode in every world; returns the observations."""
+    self._begin(np.arange(self.num_worlds))
+    self._ended[:] = False
+    return self._observe()
+
+  def step(self, actions: np.ndarray) -> BatchedTimeStep:
+    """Applies actions, [B, 10], for one control step."""
+    diverged = self._advance_physics(actions)
+    self._tighten()
+    outcome = self.core.advance(self.qpos, self.qvel, self.feet_contact())
+    if len(diverged):
+      outcome.cause[diverged] = 4
+      outcome.reward[diverged] = 0.0
+    self.outcome = outcome
+    self._returns += outcome.reward
+    self._move_boxes(self.core.switch(self.qpos, self._random_state))
+    observation = self._observe()
+    return self._conclude(outcome, observation)
+
+  def _tighten(self) -> None:
+    """Follows the schedule of the bound on the distance."""
+    self._total_steps += self.num_worlds
+    distance = self.config.distance_after(self._total_steps)
+    self.core.limits = self.core.limits._replace(distance=distance)
+
+  def _advance_physics(self, actions: np.ndarray) -> np.ndarray:
+    """Returns the worlds in which the engine gave up."""
+    spec = self._action_spec
+    np.clip(actions, spec.minimum, spec.maximum, out=self._ctrl)
+    try:
+      self.batch.step(nstep=self.config.substeps)
+    except mujoco_batch.SimulationError as error:
+      return np.asarray(error.ids)
+    return np.zeros(0, dtype=np.int64)
+
+  def _conclude(
+    self, outcome: imitation_core.Outcome, observation: np.ndarray
+  ) -> BatchedTimeStep:
+    """Ends episodes and begins the next ones."""
+    terminated = outcome.cause > 0
+    last = terminated | (self.core.tracker.state.step >= self.config.horizon)
+    last &= ~self._ended
+    ids = np.flatnonzero(last)
+    results = self._results(ids, outcome.cause)
+    final_observation = observation[ids]
+    if self._auto_reset:
+      self._begin(ids)
+      if len(ids):
+        observation[ids] = self._observe(ids)
+    else:
+      self._ended |= last
+    discount = np.where(terminated, 0.0, 1.0)
+    return BatchedTimeStep(
+      outcome.reward, discount, last, observation, final_observation, results
+    )
+
+  def _results(self, ids: np.ndarray, causes: np.ndarray) -> EpisodeResults:
+    highest = self.config.gains.highest * self.config.horizon
+    results = EpisodeResults(
+      ids,
+      self._initial[ids],
+      self._final[ids],
+      self._returns[ids] / highest,
+      self.core.tracker.state.step[ids].copy(),
+      causes[ids],
+    )
+    if len(ids):
+      self.episodes.update(results.initial, results.final, results.returns)
+    return results
+
+  def _begin(self, ids: np.ndarray) -> None:
+    """Resets the worlds `ids` to new episodes."""
+    if not len(ids):
+      return
+    drawn = [self._arena.generate(self._random_state) for _ in ids]
+    terrain = terrain_lib.Terrain(
+      *(np.concatenate(field) for field in zip(*drawn, strict=True))
+    )
+    episodes = self.episodes.sample(ids, self._random_state)
+    qpos, qvel = self.core.start(ids, episodes, terrain, self._random_state)
+    self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
+    self.qpos[ids], self.qvel[ids] = qpos, qvel
+    self._move_boxes(ids)
+    self._returns[ids] = 0.0
+    self._initial[ids], self._final[ids] = episodes.initial, episodes.final
+
+  def _move_boxes(self, ids: np.ndarray) -> None:
+    """Puts the boxes of the worlds `ids` where their terrains say."""
+    if not len(ids):
+      return
+    centres, halves = terrain_lib.boxes(self.core.terrain.rows(ids))
+    self._mocap_pos[np.ix_(ids, self._mocaps)] = centres
+    rows = {name: field[ids] for name, field in self._sizes.items()}
+    track_lib.write_sizes(halves, np.array(self._boxes), self._bvhs, **rows)
+    for name, field in self._sizes.items():
+      field[ids] = rows[name]
+
+  def feet_contact(self) -> np.ndarray:
+    """Feet on the ground (left, right), 0 or 1, [B, 2]."""
+    return (self._touch > self.config.contact_force).astype(np.float64)
+
+  def measure(self) -> dict[str, np.ndarray]:
+    """Returns what evaluations look at, copies with a leading axis B.
+
+    position: of the trunk, world metres, [B, 3]; reference: likewise; support:
+    height of the plane under the trunk, metres, [B]; contact: feet on the
+    ground (left, right), [B, 2]; mode: index, [B]; phase: in [0, 1], [B].
+    """
+    tracked = self.core.tracker.state
+    position = self.qpos[:, :3].copy()
+    return {
+      'position': position,
+      'reference': self.core.tracker.reference().position,
+      'support': self.core.support(position[:, 0]),
+      'contact': self.feet_contact(),
+      'mode': tracked.mode.copy(),
+      'phase': tracked.phase.copy(),
+    }
+
+  def _observe(
+    self,
+    ids: np.ndarray | slice = slice(None),
+  ) -> np.ndarray:
+    return observations.flatten(
+      self.core.observe(self.qpos[ids], self.qvel[ids], ids)
+    )
+
+  def state(self) -> dict[str, np.ndarray]:
+    """Returns copies of everything that `restore` needs to go on exactly."""
+    state = {
+      'physics': self.batch.state.copy(),
+      'returns': self._returns.copy(),
+      'initial': self._initial.copy(),
+      'final': self._final.copy(),
+      'ended': self._ended.copy(),
+      'total_steps': np.array(self._total_steps),
+    }
+    state |= {
+      f'tracker/{name}': field.copy()
+      for name, field in self.core.tracker.state._asdict().items()
+    }
+    state |= {
+      f'terrain/{name}': field.copy()
+      for name, field in self.core.terrain._asdict().items()
+    }
+    state |= {f'episodes/{k}': v for k, v in self.episodes.state().items()}
+    _, keys, position, has_gauss, gauss = self._random_state.get_state()
+    state['random/keys'] = keys
+    state['random/rest'] = np.array([position, has_gauss, gauss])
+    return state
+
+  def restore(self, state: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Takes over a `state`; returns the observations of that moment.
+
+    Raises:
+      ValueError: the state is of another number of worlds or another task.
+    """
+    if state['physics'].shape != self.batch.state.shape:
+      raise ValueError(
+        f'The saved worlds have shape {state["physics"].shape}, these '
+        f'{self.batch.state.shape}: use the same number of worlds and task.'
+      )
+    self.batch.state[:] = state['physics']
+    self._returns[:], self._ended[:] = state['returns'], state['ended']
+    self._total_steps = int(state['total_steps'])
+    self._initial[:], self._final[:] = state['initial'], state['final']
+    for prefix, fields in (
+      ('tracker', self.core.tracker.state),
+      ('terrain', self.core.terrain),
+    ):
+      for name, field in fields._asdict().items():
+        field[:] = state[f'{prefix}/{name}']
+    self.episodes.restore(_sub(state, 'episodes/'))
+    position, has_gauss, gauss = state['random/rest']
+    self._random_state.set_state(
+      ('MT19937', state['random/keys'], int(position), int(has_gauss), gauss)
+    )
+    self._move_boxes(np.arange(self.num_worlds))
+    return self._observe()
+
+
+def _sub(state: Mapping[str, np.ndarray], prefix: str) -> dict[str, Any]:
+  return {
+    key.removeprefix(prefix): value
+    for key, value in state.items()
+    if key.startswith(prefix)
+  }
+
+
+def _compile(task: imitation.Imitation) -> mujoco.MjModel:
+  """Compiles the task's model, with no sensors but those of the feet.
+
+  The others cost time in every step and are read by nobody here.
+  """
+  root = task.root_entity.mjcf_model
+  spec = mujoco.MjSpec.from_string(root.to_xml_string(), root.get_assets())
+  kept = {sensor.full_identifier for sensor in task.walker.foot_sensors}
+  for sensor in list(spec.sensors):
+    if sensor.name not in kept:
+      spec.delete(sensor)
+  model = spec.compile()
+  feet = [
+    model.sensor_adr[model.sensor(sensor.full_identifier).id]
+    for sensor in task.walker.foot_sensors
+  ]
+  if feet != list(range(len(mini_biped.SIDES))):
+    raise ValueError('The foot sensors are not where they are expected.')
+  return model

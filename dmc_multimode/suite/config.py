@@ -1,0 +1,118 @@
+"""Everything that the imitation task can be tuned by, in one dataclass."""
+
+import dataclasses
+import math
+from typing import Any, Mapping
+
+from dmc_multimode.suite import rewards
+from dmc_multimode.suite import terminations
+
+
+@dataclasses.dataclass(frozen=True)
+class ImitationConfig:
+  """Configuration of the imitation task, of both its engines.
+
+  Attributes:
+    gains: weights and sensitivities of Eq. 3.
+    limits: early termination.
+    time_limit: length of an episode, seconds.
+    control_timestep: period of the policy, seconds.
+    physics_timestep: period of the physics, seconds; divides the former.
+    early_distance: bound on the distance from the reference at the start of a
+      training, metres; it falls to `limits.distance` over `tighten_steps`.
+    tighten_steps: control steps of all worlds together; 0 for no schedule.
+    reference_starts: share of the episodes that start on the reference at a
+      random phase, with the reference's velocity.
+    edge_noise: half-width of the uniform noise on the distance to a step that
+      a mode such as launch needs, metres.
+    joint_noise: standard deviation of the initial joint angles, radians.
+    velocity_noise: standard deviation of the initial velocities, m/s and rad/s.
+    tilt_noise: standard deviation of the initial roll and pitch, radians.
+    contact_force: feet pressed harder than this are in contact, newtons.
+  """
+
+  gains: rewards.RewardGains = rewards.RewardGains()
+  limits: terminations.TerminationLimits = terminations.TerminationLimits()
+  early_distance: float = 0.8
+  tighten_steps: int = 0
+  time_limit: float = 4.5
+  control_timestep: float = 0.03
+  physics_timestep: float = 0.005
+  reference_starts: float = 0.25
+  edge_noise: float = 0.04
+  joint_noise: float = 0.05
+  velocity_noise: float = 0.1
+  tilt_noise: float = 0.03
+  contact_force: float = 1.0
+
+  def __post_init__(self) -> None:
+    for name in ('time_limit', 'control_timestep', 'physics_timestep'):
+      value = getattr(self, name)
+      if not (math.isfinite(value) and value > 0):
+        raise ValueError(f'{name} must be positive, got {value}.')
+    ratio = self.control_timestep / self.physics_timestep
+    if abs(ratio - round(ratio)) > 1e-6 or ratio < 1:
+      raise ValueError(
+        f'physics_timestep {self.physics_timestep} must divide '
+        f'control_timestep {self.control_timestep}.'
+      )
+    if not 0 <= self.reference_starts <= 1:
+      raise ValueError(
+        f'reference_starts is a share in [0, 1], got {self.reference_starts}.'
+      )
+
+  def distance_after(self, steps: int) -> float:
+    """Bound on the distance from the reference, metres, early or late.
+
+    Args:
+      steps: control steps that all worlds of a training made together.
+    """
+    late = self.limits.distance
+    if steps >= self.tighten_steps:
+      return late
+    share = steps / self.tighten_steps
+    return self.early_distance + share * (late - self.early_distance)
+
+  @property
+  def substeps(self) -> int:
+    """Physics steps in a control step."""
+    return round(self.control_timestep / self.physics_timestep)
+
+  @property
+  def horizon(self) -> int:
+    """Control steps in an episode."""
+    return round(self.time_limit / self.control_timestep)
+
+
+def deterministic(config: ImitationConfig) -> ImitationConfig:
+  """Returns the configuration of evaluation: from rest, edges in place."""
+  return dataclasses.replace(config, reference_starts=0.0, edge_noise=0.0)
+
+
+def to_dict(config: ImitationConfig) -> dict[str, Any]:
+  """Returns the configuration as JSON-able values."""
+  values = {
+    field.name: getattr(config, field.name)
+    for field in dataclasses.fields(config)
+  }
+  values['gains'] = config.gains._asdict()
+  values['limits'] = config.limits._asdict()
+  return values
+
+
+def from_dict(values: Mapping[str, Any]) -> ImitationConfig:
+  """Returns what `to_dict` was given.
+
+  Raises:
+    ValueError: a field is unknown or of the wrong type.
+  """
+  try:
+    return ImitationConfig(
+      **{
+        **values,
+        'gains': rewards.RewardGains(**values['gains']),
+        'limits': terminations.TerminationLimits(**values['limits']),
+      }
+    )
+  except (TypeError, KeyError) as error:
+    raise ValueError(f'Not a task configuration: {error}.') from error

@@ -1,0 +1,141 @@
+"""What an episode is to practise: its mode schedule, drawn or given."""
+
+from typing import Mapping, NamedTuple, Protocol
+
+import numpy as np
+
+from dmc_multimode.modes import reference
+from dmc_multimode.modes import sampling
+from dmc_multimode.modes import schedule as schedule_lib
+
+
+class Episodes(NamedTuple):
+  """N episodes.
+
+  Attributes:
+    schedule: what is commanded when.
+    initial: index of the first mode, [N].
+    final: index of the last mode, [N].
+  """
+
+  schedule: schedule_lib.ModeSchedule
+  initial: np.ndarray
+  final: np.ndarray
+
+
+class EpisodeInitialiser(Protocol):
+  """Chooses the episodes and learns from their outcome."""
+
+  max_knots: int
+
+  def sample(
+    self, ids: np.ndarray, random_state: np.random.RandomState
+  ) -> Episodes:
+    """Returns the next episodes of the worlds `ids`, [N]."""
+
+  def update(
+    self, initial: np.ndarray, final: np.ndarray, returns: np.ndarray
+  ) -> None:
+    """Takes the returns of finished episodes, [N] each."""
+
+  def probabilities(self) -> dict[str, float]:
+    """Returns what it samples how often, for logs; may be empty."""
+
+  def state(self) -> dict[str, np.ndarray]:
+    """Returns copies of what `restore` needs."""
+
+  def restore(self, state: Mapping[str, np.ndarray]) -> None:
+    """Takes over a `state`."""
+
+
+class TransitionEpisodes:
+  """Algorithm 1: an initial mode, a switch at a phase, a final mode."""
+
+  max_knots = 2
+
+  def __init__(
+    self,
+    bank: reference.ReferenceBank,
+    config: sampling.SamplingConfig | None = None,
+  ):
+    """Samples over the modes of `bank`."""
+    self._bank = bank
+    self.sampler = sampling.ModeSampler(
+      len(bank), config or sampling.SamplingConfig()
+    )
+
+  def sample(
+    self, ids: np.ndarray, random_state: np.random.RandomState
+  ) -> Episodes:
+    """See `EpisodeInitialiser`."""
+    initial, final = self.sampler.sample(len(ids), random_state)
+    clips = random_state.choice(schedule_lib.CLIPS, size=len(ids))
+    phases = random_state.choice(schedule_lib.SWITCH_PHASES, size=len(ids))
+    schedule = schedule_lib.transitions(
+      self._bank, initial, final, clips, phases
+    )
+    return Episodes(schedule, initial, final)
+
+  def update(
+    self, initial: np.ndarray, final: np.ndarray, returns: np.ndarray
+  ) -> None:
+    """See `EpisodeInitialiser`."""
+    self.sampler.update(initial, final, returns)
+
+  def probabilities(self) -> dict[str, float]:
+    """Returns p_i by mode and p_f by transition."""
+    names, result = self._bank.names, {}
+    for i, p in enumerate(self.sampler.initial_probabilities):
+      result[f'p/{names[i]}'] = float(p)
+    for i, row in enumerate(self.sampler.final_probabilities):
+      for f, p in enumerate(row):
+        result[f'p/{names[i]}->{names[f]}'] = float(p)
+    return result
+
+  def state(self) -> dict[str, np.ndarray]:
+    """See `EpisodeInitialiser`."""
+    return self.sampler.state()
+
+  def restore(self, state: Mapping[str, np.ndarray]) -> None:
+    """See `EpisodeInitialiser`."""
+    self.sampler.restore(state)
+
+
+class ScheduledEpisodes:
+  """Given schedules: one for all worlds, or world i runs row i."""
+
+  def __init__(self, schedule: schedule_lib.ModeSchedule):
+    """Runs `schedule`, of one world or of as many as the environment has."""
+    self._schedule = schedule
+    self.max_knots = schedule.modes.shape[1]
+
+  def sample(
+    self, ids: np.ndarray, random_state: np.random.RandomState
+  ) -> Episodes:
+    """See `EpisodeInitialiser`."""
+    del random_state
+    rows = ids if len(self._schedule) > 1 else np.zeros_like(ids)
+    schedule = schedule_lib.ModeSchedule(
+      self._schedule.modes[rows],
+      self._schedule.starts[rows],
+      self._schedule.clock_rate[rows],
+    )
+    last = np.isfinite(schedule.starts).sum(axis=1) - 1
+    final = schedule.modes[np.arange(len(rows)), last]
+    return Episodes(schedule, schedule.modes[:, 0], final)
+
+  def update(
+    self, initial: np.ndarray, final: np.ndarray, returns: np.ndarray
+  ) -> None:
+    """Learns nothing."""
+
+  def probabilities(self) -> dict[str, float]:
+    """Samples nothing."""
+    return {}
+
+  def state(self) -> dict[str, np.ndarray]:
+    """Has no state."""
+    return {}
+
+  def restore(self, state: Mapping[str, np.ndarray]) -> None:
+    """Has no state."""

@@ -1,0 +1,177 @@
+"""The suite's tasks as Gymnasium environments; needs the extra `gym`.
+
+    import gymnasium
+    from dmc_multimode.suite import gymnasium_env
+    env = gymnasium.make('dmc_multimode/walk_forward-v0')
+
+Importing this module registers every task of the suite.
+"""
+
+from typing import Any
+
+from dm_control import composer
+import dm_env
+import numpy as np
+
+from dmc_multimode import suite
+from dmc_multimode.suite import observations
+
+try:
+  import gymnasium
+except ModuleNotFoundError:
+  raise ModuleNotFoundError(
+    'Gymnasium is not installed: pip install dmc_multimode[gym]',
+    name='gymnasium',
+  ) from None
+
+NAMESPACE = 'dmc_multimode'
+_VERSION = 0
+_SEEDS = 2**32  # As many as a RandomState takes.
+
+
+class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+  """One task of the suite behind Gymnasium's interface.
+
+  Observations are flat, float32 [33 + n_m], in the order of
+  `observations.layout`; actions are joint targets in radians, float32 [10].
+  """
+
+  metadata: dict[str, Any] = {'render_modes': ['rgb_array']}
+
+  def __init__(
+    self,
+    environment: composer.Environment,
+    render_mode: str | None = None,
+    width: int = 640,
+    height: int = 480,
+    camera: str = 'walker/side',
+  ):
+    """Takes over an environment.
+
+    Args:
+      environment: of an `Imitation` task, as `suite.load` returns it.
+      render_mode: None or 'rgb_array'.
+      width, height: of the frames, pixels.
+      camera: of the model, whose view is rendered.
+
+    Raises:
+      ValueError: the render mode is unknown.
+    """
+    if render_mode not in (None, *self.metadata['render_modes']):
+      raise ValueError(
+        f'Unknown render mode {render_mode!r}: use None or "rgb_array".'
+      )
+    self._environment, self._task = environment, environment.task
+    self._episodes = self._task.episodes.state()
+    self._over, self._closed = True, False
+    self.render_mode = render_mode
+    self._view = {'width': width, 'height': height, 'camera_id': camera}
+    rate = round(1 / environment.control_timestep())
+    self.metadata = {**self.metadata, 'render_fps': rate}
+    layout = observations.layout(self._task.codebook.latent_dim)
+    self._names = [name for name, _ in layout]
+    size = sum(size for _, size in layout)
+    self.observation_space = gymnasium.spaces.Box(
+      -np.inf, np.inf, (size,), np.float32
+    )
+    spec = environment.action_spec()
+    self.action_space = gymnasium.spaces.Box(
+      spec.minimum.astype(np.float32), spec.maximum.astype(np.float32)
+    )
+
+  def reset(
+    self, *, seed: int | None = None, options: dict[str, Any] | None = None
+  ) -> tuple[np.ndarray, dict[str, Any]]:
+    """Begins an episode; see `gymnasium.Env.reset`.
+
+    Args:
+      seed: of everything random from here on. What an adaptive sampler has
+        learned is forgotten as well, so that equal seeds and actions lead to
+        equal episodes.
+      options: none are known.
+    """
+    super().reset(seed=seed, options=options)
+    if seed is not None:
+      # Ends the running episode: what it teaches the sampler must not outlast
+      # the seeding.
+      self._environment.reset()
+      self._task.episodes.restore(self._episodes)
+      self._environment.random_state.seed(self.np_random.integers(_SEEDS))
+    self._over = False
+    return self._see(self._environment.reset())
+
+  def step(
+    self, action: np.ndarray
+  ) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+    """Applies joint targets in radians, [10]; see `gymnasium.Env.step`.
+
+    Raises:
+      gymnasium.error.ResetNeeded: no episode is running.
+    """
+    if self._over:
+      raise gymnasium.error.ResetNeeded('Call reset() to begin an episode.')
+    timestep = self._environment.step(np.asarray(action, dtype=np.float64))
+    self._over = timestep.last()
+    terminated = self._over and timestep.discount == 0.0
+    truncated = self._over and not terminated
+    observation, info = self._see(timestep)
+    return observation, float(timestep.reward), terminated, truncated, info
+
+  def _see(
+    self, timestep: dm_env.TimeStep
+  ) -> tuple[np.ndarray, dict[str, Any]]:
+    """Returns the flat observation and the info."""
+    parts = {name: timestep.observation[name] for name in self._names}
+    return observations.flatten(parts), {'mode': self._task.mode}
+
+  def render(self) -> np.ndarray | None:
+    """Returns a frame, uint8 [height, width, 3]; None without render mode."""
+    if self.render_mode is None:
+      return None
+    return self._environment.physics.render(**self._view)
+
+  def close(self) -> None:
+    """Frees the physics; doing so again is harmless."""
+    if not self._closed:
+      self._closed = True
+      self._environment.close()
+
+
+def make(
+  task: str,
+  render_mode: str | None = None,
+  time_limit: float | None = None,
+  **kwargs: Any,
+) -> GymnasiumEnv:
+  """Loads a task of the suite; the entry point of Gymnasium's registry.
+
+  Args:
+    task: of the domain `multimode_biped`.
+    render_mode: None or 'rgb_array'.
+    time_limit: length of an episode, seconds; the task's own by default.
+    **kwargs: further arguments of `GymnasiumEnv`.
+
+  Raises:
+    ValueError: the task or the render mode is unknown.
+  """
+  environment = suite.load(suite.DOMAIN, task, {'time_limit': time_limit})
+  return GymnasiumEnv(environment, render_mode, **kwargs)
+
+
+def environment_id(task: str) -> str:
+  """Returns the name of a task in Gymnasium's registry."""
+  return f'{NAMESPACE}/{task}-v{_VERSION}'
+
+
+def register() -> None:
+  """Puts all tasks into Gymnasium's registry; doing so again is harmless."""
+  for _, task in suite.ALL_TASKS:
+    if environment_id(task) not in gymnasium.registry:
+      gymnasium.register(
+        environment_id(task),
+        entry_point=f'{__name__}:{make.__name__}',
+        kwargs={'task': task},
+      )
+
+
+register()

@@ -1,0 +1,258 @@
+"""The imitation task without an engine, for a batch of worlds.
+
+The Composer task drives one world of this, the batched environment many: both
+hand in positions, velocities and contacts and get back rewards, terminations,
+observations and where to put the terrain. The task means the same in both
+because it is the same code.
+
+A control step is, in this order: physics; `advance` (clock, reward and
+termination against the mode that was in force); `switch` (a command that is due
+re-anchors the reference); `observe` (what the next action sees).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import transform
+
+from dmc_multimode.arenas import terrain as terrain_lib
+from dmc_multimode.modes import codebook as codebook_lib
+from dmc_multimode.modes import library
+from dmc_multimode.modes import reference as reference_lib
+from dmc_multimode.suite import config as config_lib
+from dmc_multimode.suite import episodes as episodes_lib
+from dmc_multimode.suite import observations
+from dmc_multimode.suite import rewards
+from dmc_multimode.suite import terminations
+from dmc_multimode.suite import tracking
+
+_FOOT_REACH = 0.12  # Metres ahead and behind the trunk that feet may cover.
+
+
+class Outcome(NamedTuple):
+  """What a control step led to, [B] each.
+
+  Attributes:
+    reward: in [0, 1].
+    terms: the weighted terms of the reward by name.
+    errors: distances from the reference.
+    cause: index into `terminations.CAUSES`, 0 where the episode goes on.
+  """
+
+  reward: np.ndarray
+  terms: dict[str, np.ndarray]
+  errors: rewards.TrackingErrors
+  cause: np.ndarray
+
+
+class ImitationCore:
+  """Task state of B worlds and the rules that move it."""
+
+  def __init__(
+    self,
+    motions: tuple[reference_lib.ReferenceMotion, ...],
+    codebook: codebook_lib.Codebook,
+    config: config_lib.ImitationConfig,
+    num_worlds: int,
+    num_segments: int,
+    adaptive_terrain: bool,
+    max_knots: int,
+  ):
+    """Allocates the state; every world must be started before use.
+
+    Args:
+      motions: the mode set.
+      codebook: its latents.
+      config: of the task.
+      num_worlds: B.
+      num_segments: places for segments in each terrain.
+      adaptive_terrain: whether steps are put where commanded modes need them.
+      max_knots: the most commands that a schedule may hold.
+    """
+    self.config = config
+    self.limits = config.limits
+    self.tracker = tracking.ModeTracker(
+      motions, codebook, config.control_timestep, num_worlds, max_knots
+    )
+    self.terrain = terrain_lib.empty(num_worlds, num_segments)
+    self._steps = [
+      motion.step if adaptive_terrain else None for motion in motions
+    ]
+
+  def start(
+    self,
+    ids: np.ndarray,
+    episodes: episodes_lib.Episodes,
+    terrain: terrain_lib.Terrain,
+    random_state: np.random.RandomState,
+  ) -> tuple[np.ndarray, np.ndarray]:
+    """Begins new episodes in the worlds `ids`.
+
+    Args:
+      ids: worlds, [N].
+      episodes: what they practise, N of them.
+      terrain: their N terrains.
+      random_state: source of the initial state's noise.
+
+    Returns:
+      Initial qpos [N, 17] and qvel [N, 16].
+    """
+    count = len(ids)
+    on_reference = random_state.uniform(size=count) < (
+      self.config.reference_starts
+    )
+    phase = random_state.uniform(size=count) * on_reference
+    self.terrain.write(ids, terrain)
+    support = terrain_lib.support_height(terrain, np.zeros(count))
+    self.tracker.reset(ids, episodes.schedule, phase, support)
+    self._place_steps(ids, episodes.initial, np.zeros(count), random_state)
+    return self._initial_state(ids, on_reference, random_state)
+
+  def _initial_state(
+    self,
+    ids: np.ndarray,
+    on_reference: np.ndarray,
+    random_state: np.random.RandomState,
+  ) -> tuple[np.ndarray, np.ndarray]:
+    """Poses the robots of `ids` on their references, with noise."""
+    config, count = self.config, len(ids)
+    position, orientation, velocity = self.tracker.start_pose(ids)
+    # In mid-motion a crouched robot might stand inside a block: lift it.
+    x = position[:, 0]
+    clear = terrain_lib.clearance_height(self.terrain.rows(ids), x, _FOOT_REACH)
+    position[:, 2] = np.maximum(position[:, 2], clear + library.STAND_HEIGHT)
+    joints = observations.NUM_JOINTS
+    tilt = config.tilt_noise * random_state.standard_normal((count, 2))
+    qpos = np.concatenate(
+      [
+        position,
+        _tilted(orientation, tilt),
+        config.joint_noise * random_state.standard_normal((count, joints)),
+      ],
+      axis=1,
+    )
+    qvel = config.velocity_noise * random_state.standard_normal(
+      (count, 6 + joints)
+    )
+    qvel[:, :3] += velocity * on_reference[:, None]
+    return qpos, qvel
+
+  def advance(
+    self, qpos: np.ndarray, qvel: np.ndarray, contact: np.ndarray
+  ) -> Outcome:
+    """Moves the clocks on and judges the state that the physics reached.
+
+    Args:
+      qpos, qvel: generalised positions [B, 17] and velocities [B, 16].
+      contact: feet on the ground (left, right), 0 or 1, [B, 2].
+    """
+    config = self.config
+    self.tracker.advance()
+    reference = self.tracker.reference()
+    finite = np.isfinite(qpos).all(axis=1) & np.isfinite(qvel).all(axis=1)
+    safe = np.where(finite[:, None], qpos, 0.0)
+    errors = rewards.tracking_errors(
+      safe[:, :3],
+      observations.heading_frame(
+        np.where(finite[:, None], qpos[:, 3:7], (1.0, 0.0, 0.0, 0.0)),
+        self.tracker.state.heading,
+      ),
+      contact,
+      reference.position,
+      reference.orientation,
+      reference.contact,
+      reference.has_contact,
+    )
+    terms = rewards.reward_terms(errors, config.gains)
+    reward = np.where(finite, sum(terms.values()), 0.0)
+    height = safe[:, 2] - self.support(safe[:, 0])
+    cause = terminations.termination_cause(
+      errors.position, reward, height, finite, self.limits
+    )
+    return Outcome(reward, terms, errors, cause)
+
+  def switch(
+    self, qpos: np.ndarray, random_state: np.random.RandomState
+  ) -> np.ndarray:
+    """Carries out the commands that are due.
+
+    Returns:
+      The worlds whose terrain changed, [N].
+    """
+    ids, modes = self.tracker.due()
+    if not len(ids):
+      return ids
+    position = qpos[ids, :3]
+    changed = self._place_steps(ids, modes, position[:, 0], random_state)
+    support = terrain_lib.support_height(self.terrain.rows(ids), position[:, 0])
+    self.tracker.command(ids, modes, position, support)
+    return changed
+
+  def _place_steps(
+    self,
+    ids: np.ndarray,
+    modes: np.ndarray,
+    x: np.ndarray,
+    random_state: np.random.RandomState,
+  ) -> np.ndarray:
+    """Puts the steps that `modes` call for where their references need them.
+
+    Returns:
+      The worlds whose terrain changed.
+    """
+    changed = []
+    for mode in np.unique(modes):
+      step = self._steps[mode]
+      if step is None:
+        continue
+      mine = modes == mode
+      noise = self.config.edge_noise * random_state.uniform(-1, 1, mine.sum())
+      self.terrain.write(
+        ids[mine],
+        terrain_lib.with_step(
+          self.terrain.rows(ids[mine]),
+          x[mine],
+          x[mine] + step.edge + noise,
+          step.height,
+        ),
+      )
+      changed.append(ids[mine])
+    return np.concatenate(changed) if changed else np.zeros(0, dtype=np.int64)
+
+  def support(self, x: np.ndarray) -> np.ndarray:
+    """Returns the height of the support plane under every world's x, [B]."""
+    return terrain_lib.support_height(self.terrain, x)
+
+  def observe(
+    self,
+    qpos: np.ndarray,
+    qvel: np.ndarray,
+    ids: np.ndarray | slice = slice(None),
+  ) -> dict[str, np.ndarray]:
+    """Returns the parts of the observation by name; see `observations`.
+
+    Args:
+      qpos, qvel: of the worlds `ids`, [N, 17] and [N, 16].
+      ids: worlds, [N]; all by default.
+    """
+    state = self.tracker.state
+    terrain = terrain_lib.Terrain(*(field[ids] for field in self.terrain))
+    return observations.observe(
+      qpos,
+      qvel,
+      terrain_lib.support_height(terrain, qpos[:, 0]),
+      state.heading[ids],
+      state.phase[ids],
+      self.tracker.commands()[ids],
+    )
+
+
+def _tilted(quaternion: np.ndarray, tilt: np.ndarray) -> np.ndarray:
+  """Turns orientations [N, 4] by small roll and pitch angles [N, 2]."""
+  from_quat = transform.Rotation.from_quat
+  noise = transform.Rotation.from_rotvec(
+    np.column_stack([tilt, np.zeros(len(tilt))])
+  )
+  return (from_quat(quaternion, scalar_first=True) * noise).as_quat(
+    scalar_first=True
+  )

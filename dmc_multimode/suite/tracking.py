@@ -1,0 +1,230 @@
+"""Commands, clocks and references of a batch of worlds, without any physics.
+
+`ModeTracker` is what the Composer task (one world) and the batched environment
+(many) share: which mode is commanded, where its reference is anchored and how
+far its clock has run.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dmc_multimode.modes import codebook as codebook_lib
+from dmc_multimode.modes import reference as reference_lib
+from dmc_multimode.modes import schedule as schedule_lib
+
+
+class Tracked(NamedTuple):
+  """The trackers' state that must survive a checkpoint; [B] unless said.
+
+  Attributes:
+    schedule_modes: [B, K].
+    schedule_steps: control steps at which the modes are commanded, [B, K].
+    clock_rate: of the phase.
+    knot: column of the schedule that is in force.
+    step: control steps since the reset.
+    mode: index of the running mode.
+    phase: in [0, 1].
+    anchor: origin of the anchor frame, world metres, [B, 3].
+    heading: commanded heading, radians.
+  """
+
+  schedule_modes: np.ndarray
+  schedule_steps: np.ndarray
+  clock_rate: np.ndarray
+  knot: np.ndarray
+  step: np.ndarray
+  mode: np.ndarray
+  phase: np.ndarray
+  anchor: np.ndarray
+  heading: np.ndarray
+
+
+class ModeTracker:
+  """Runs the mode schedules of B worlds."""
+
+  def __init__(
+    self,
+    motions: tuple[reference_lib.ReferenceMotion, ...],
+    codebook: codebook_lib.Codebook,
+    control_timestep: float,
+    num_worlds: int,
+    max_knots: int,
+  ):
+    """Allocates the state; every world must be `reset` before use.
+
+    Args:
+      motions: the mode set.
+      codebook: the latents of the same modes, in the same order.
+      control_timestep: seconds.
+      num_worlds: B.
+      max_knots: K, the most commands that a schedule may hold.
+
+    Raises:
+      ValueError: the codebook is of other modes.
+    """
+    self.bank = reference_lib.ReferenceBank(motions)
+    if codebook.names != self.bank.names:
+      raise ValueError(
+        f'The codebook encodes {codebook.names}, the task runs '
+        f'{self.bank.names}.'
+      )
+    self.codebook = codebook
+    self._timestep = control_timestep
+    num, knots = num_worlds, max_knots
+    zeros = lambda *shape: np.zeros(shape, dtype=np.int64)
+    self.state = Tracked(
+      schedule_modes=zeros(num, knots),
+      schedule_steps=np.full((num, knots), np.iinfo(np.int64).max),
+      clock_rate=np.ones(num),
+      knot=zeros(num),
+      step=zeros(num),
+      mode=zeros(num),
+      phase=np.zeros(num),
+      anchor=np.zeros((num, 3)),
+      heading=np.zeros(num),
+    )
+
+  def reset(
+    self,
+    ids: np.ndarray,
+    schedule: schedule_lib.ModeSchedule,
+    phase: np.ndarray,
+    support: np.ndarray,
+  ) -> None:
+    """Starts the worlds `ids` at the origin of their first modes.
+
+    Args:
+      ids: worlds, [N].
+      schedule: of N worlds.
+      phase: where in their first mode they start, [N].
+      support: height of the support plane at the origin, metres, [N].
+
+    Raises:
+      ValueError: the schedule holds more commands than there is room for.
+    """
+    state, used = self.state, schedule.modes.shape[1]
+    if used > state.schedule_modes.shape[1]:
+      raise ValueError(
+        f'The schedule holds {used} commands, room is for '
+        f'{state.schedule_modes.shape[1]}: raise max_knots.'
+      )
+    state.schedule_modes[ids, :used] = schedule.modes
+    state.schedule_steps[ids] = np.iinfo(np.int64).max
+    state.schedule_steps[ids, :used] = schedule.start_steps(self._timestep)
+    state.clock_rate[ids] = schedule.clock_rate
+    state.knot[ids] = 0
+    state.step[ids] = 0
+    state.mode[ids] = schedule.modes[:, 0]
+    state.phase[ids] = phase
+    state.anchor[ids] = 0.0
+    state.anchor[ids, 2] = support
+    state.heading[ids] = 0.0
+
+  def advance(self) -> None:
+    """Moves every world's clock on by one control step."""
+    state, bank = self.state, self.bank
+    state.step[:] += 1
+    mode = state.mode
+    rate = self._timestep * state.clock_rate / bank.durations[mode]
+    state.phase[:] += rate
+    over = state.phase >= 1.0
+    if over.any():
+      self._wrap(over)
+
+  def _wrap(self, over: np.ndarray) -> None:
+    """Ends a cycle: transient modes hold, the others begin again."""
+    state, bank = self.state, self.bank
+    hold = over & bank.transient[state.mode]
+    again = np.flatnonzero(over & ~hold)
+    state.phase[hold] = 1.0
+    state.phase[again] -= 1.0
+    modes = state.mode[again]
+    state.anchor[again] += _turn(
+      bank.displacements[modes], state.heading[again]
+    )
+    state.heading[again] += bank.turns[modes]
+
+  def due(self) -> tuple[np.ndarray, np.ndarray]:
+    """Takes the commands that are due now.
+
+    Returns:
+      The worlds whose mode changes, [N], and their new modes, [N]. A command
+      equal to the running mode lets it continue and is not among them.
+    """
+    state = self.state
+    following = np.minimum(state.knot + 1, state.schedule_steps.shape[1] - 1)
+    rows = np.arange(len(following))
+    due = (state.schedule_steps[rows, following] <= state.step) & (
+      following > state.knot
+    )
+    ids = np.flatnonzero(due)
+    if not len(ids):
+      return ids, ids
+    state.knot[ids] += 1
+    modes = state.schedule_modes[ids, state.knot[ids]]
+    changed = modes != state.mode[ids]
+    return ids[changed], modes[changed]
+
+  def command(
+    self,
+    ids: np.ndarray,
+    modes: np.ndarray,
+    position: np.ndarray,
+    support: np.ndarray,
+  ) -> None:
+    """Starts new modes where the robots are now.
+
+    Args:
+      ids: worlds, [N].
+      modes: their new modes, [N].
+      position: of the trunk in the world, metres, [N, 3].
+      support: height of the support plane under it, metres, [N].
+    """
+    state = self.state
+    old = self.bank.sample(state.mode[ids], state.phase[ids])
+    # The robot's own yaw never enters, so that yaw drift is corrected.
+    state.heading[ids] += reference_lib.yaw(old.orientation)
+    state.mode[ids] = modes
+    state.phase[ids] = 0.0
+    state.anchor[ids, :2] = position[:, :2]
+    state.anchor[ids, 2] = support
+
+  def reference(self) -> reference_lib.Reference:
+    """Returns the references now.
+
+    Positions are in the world frame; orientations are relative to the heading.
+    """
+    state = self.state
+    local = self.bank.sample(state.mode, state.phase)
+    position = state.anchor + _turn(local.position, state.heading)
+    return local._replace(position=position)
+
+  def start_pose(
+    self, ids: np.ndarray
+  ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns position, orientation and velocity of the references of `ids`.
+
+    In the world frame, [N, 3] metres, [N, 4] and [N, 3] m/s; to be called right
+    after `reset`, when the headings are zero.
+    """
+    state = self.state
+    modes, phases = state.mode[ids], state.phase[ids]
+    local = self.bank.sample(modes, phases)
+    velocity = self.bank.velocity(modes, phases)
+    return (
+      state.anchor[ids] + local.position,
+      local.orientation,
+      velocity * state.clock_rate[ids, None],
+    )
+
+  def commands(self) -> np.ndarray:
+    """Returns the latents of the running modes, [B, n_m]."""
+    return self.codebook.latents[self.state.mode]
+
+
+def _turn(vectors: np.ndarray, heading: np.ndarray) -> np.ndarray:
+  """Turns vectors [B, 3] by headings [B] about z."""
+  c, s = np.cos(heading), np.sin(heading)
+  x, y, z = vectors[:, 0], vectors[:, 1], vectors[:, 2]
+  return np.stack([c * x - s * y, s * x + c * y, z], axis=-1)
