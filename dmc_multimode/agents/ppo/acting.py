@@ -1,0 +1,93 @@
+"""Actors: the policy as something that selects actions."""
+
+from typing import Any, Mapping
+
+import dm_env
+import numpy as np
+import torch
+
+from dmc_multimode.agents.ppo import networks
+
+
+class BatchedActor:
+  """Selects actions for all worlds of a batched environment."""
+
+  def __init__(self, network: networks.ActorCritic, seed: int):
+    """Acts with `network`; `seed` is that of the exploration."""
+    self._network = network
+    self._generator = torch.Generator().manual_seed(seed)
+
+  @torch.no_grad()
+  def sample(self, observation: torch.Tensor) -> networks.Sample:
+    """Explores, for observations float32 [B, D]."""
+    mean = self._network.act(observation)
+    std = self._network.std
+    noise = torch.empty_like(mean).normal_(generator=self._generator)
+    action = mean + std * noise
+    return networks.Sample(action, networks.log_prob(action, mean, std), mean)
+
+  @torch.no_grad()
+  def select_action(self, observation: np.ndarray) -> np.ndarray:
+    """Returns the mean actions for observations float32 [B, D], [B, A]."""
+    return self._network.act(torch.from_numpy(observation)).numpy()
+
+  def state(self) -> dict[str, torch.Tensor]:
+    """Returns the exploration's generator."""
+    return {'generator': self._generator.get_state()}
+
+  def restore(self, state: Mapping[str, torch.Tensor]) -> None:
+    """Takes over a `state`."""
+    self._generator.set_state(state['generator'])
+
+
+class FeedForwardActor:
+  """An Acme-style actor for one dm_env environment.
+
+  Observations are dictionaries whose values, concatenated in their order, make
+  up the network's input.
+  """
+
+  def __init__(self, network: networks.ActorCritic):
+    """Acts with the mean of `network`; learns nothing."""
+    self._network = network
+
+  @torch.no_grad()
+  def select_action(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Returns the mean action, float64 [A]."""
+    flat = np.concatenate([np.ravel(part) for part in observation.values()])
+    batch = torch.from_numpy(flat.astype(np.float32))[None]
+    return self._network.act(batch)[0].double().numpy()
+
+  def observe_first(self, timestep: dm_env.TimeStep) -> None:
+    """Takes the first time step of an episode."""
+
+  def observe(self, action: np.ndarray, next_timestep: dm_env.TimeStep) -> None:
+    """Takes what an action led to."""
+
+  def update(self, wait: bool = False) -> None:
+    """Has no variables to fetch."""
+
+
+class EnvironmentLoop:
+  """Runs an actor in one dm_env environment."""
+
+  def __init__(self, environment: dm_env.Environment, actor: FeedForwardActor):
+    """Connects the two."""
+    self._environment, self._actor = environment, actor
+
+  def run_episode(self) -> dict[str, Any]:
+    """Runs one episode; returns its length, return and whether it survived."""
+    timestep = self._environment.reset()
+    self._actor.observe_first(timestep)
+    steps, total = 0, 0.0
+    while not timestep.last():
+      action = self._actor.select_action(timestep.observation)
+      timestep = self._environment.step(action)
+      self._actor.observe(action, timestep)
+      self._actor.update()
+      steps, total = steps + 1, total + float(timestep.reward)
+    return {
+      'episode_length': steps,
+      'episode_return': total,
+      'survived': bool(timestep.discount),
+    }

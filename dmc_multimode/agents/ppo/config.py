@@ -1,0 +1,80 @@
+"""Hyperparameters of PPO."""
+
+import dataclasses
+import math
+
+SYMMETRIES = ('none', 'augment')
+
+
+@dataclasses.dataclass(frozen=True)
+class PPOConfig:
+  """Everything that the learner can be tuned by.
+
+  Attributes:
+    hidden_sizes: widths of the hidden layers of policy and value networks.
+    rollout_length: control steps a world and iteration.
+    discount: gamma.
+    gae_lambda: lambda of generalised advantage estimation.
+    epochs: passes over each iteration's data.
+    minibatches: parts that each pass is cut into.
+    clip: epsilon of the clipped surrogate objective.
+    value_coefficient: weight of the value loss.
+    entropy_coefficient: weight of the entropy bonus.
+    learning_rate: at the start.
+    target_kl: the learning rate falls when an update moves the policy by more
+      than twice this and rises when by less than half; 0 keeps it fixed.
+    min_learning_rate, max_learning_rate: bounds of the adaptation.
+    max_gradient_norm: gradients are scaled down to it.
+    initial_std: of the actions, radians.
+    min_std: the standard deviation never falls below; without a floor the
+      exploration collapses early.
+    learn_std: whether the standard deviation is learned, or stays as it is.
+    symmetry: 'augment' adds the left-right mirror image of every sample.
+  """
+
+  hidden_sizes: tuple[int, ...] = (256, 128)
+  rollout_length: int = 32
+  discount: float = 0.97
+  gae_lambda: float = 0.95
+  epochs: int = 4
+  minibatches: int = 4
+  clip: float = 0.2
+  value_coefficient: float = 0.5
+  entropy_coefficient: float = 0.001
+  learning_rate: float = 5e-4
+  target_kl: float = 0.012
+  min_learning_rate: float = 5e-5
+  max_learning_rate: float = 2e-3
+  max_gradient_norm: float = 1.0
+  initial_std: float = 0.25
+  min_std: float = 0.1
+  learn_std: bool = True
+  symmetry: str = 'none'
+
+  def __post_init__(self) -> None:
+    positive = (
+      'rollout_length',
+      'epochs',
+      'minibatches',
+      'clip',
+      'learning_rate',
+      'min_learning_rate',
+      'max_learning_rate',
+      'max_gradient_norm',
+      'initial_std',
+      'min_std',
+    )
+    for name in positive:
+      value = getattr(self, name)
+      if not (math.isfinite(value) and value > 0):
+        raise ValueError(f'{name} must be positive, got {value}.')
+    if not 0 <= self.discount < 1:
+      raise ValueError(f'discount must be in [0, 1), got {self.discount}.')
+    if not 0 <= self.gae_lambda <= 1:
+      raise ValueError(f'gae_lambda must be in [0, 1], got {self.gae_lambda}.')
+    if not self.hidden_sizes or min(self.hidden_sizes) < 1:
+      raise ValueError('hidden_sizes needs at least one positive width.')
+    if self.symmetry not in SYMMETRIES:
+      raise ValueError(
+        f'symmetry {self.symmetry!r} is not one of {SYMMETRIES}.'
+      )

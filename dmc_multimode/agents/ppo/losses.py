@@ -1,0 +1,78 @@
+"""Advantages and losses of PPO, as free functions."""
+
+from typing import NamedTuple
+
+import torch
+
+from dmc_multimode.agents.ppo import networks
+
+
+def generalised_advantages(
+  rewards: torch.Tensor,
+  values: torch.Tensor,
+  next_values: torch.Tensor,
+  discounts: torch.Tensor,
+  last: torch.Tensor,
+  gae_lambda: float,
+) -> torch.Tensor:
+  """Generalised advantage estimation (Schulman et al. 2016, Eq. 16).
+
+  Args:
+    rewards: r_t, [T, B].
+    values: v(o_t), [T, B].
+    next_values: v of what was seen after step t, before any reset, [T, B].
+    discounts: gamma times the environment's discount, [T, B]: 0 where the
+      episode terminated, gamma at a time limit.
+    last: whether the episode ended with step t, [T, B]: no advantage flows
+      across.
+    gae_lambda: lambda.
+
+  Returns:
+    Advantages, [T, B].
+  """
+  deltas = rewards + discounts * next_values - values
+  flows = discounts * gae_lambda * (~last)
+  advantages = torch.empty_like(deltas)
+  running = torch.zeros_like(deltas[0])
+  for t in range(len(deltas) - 1, -1, -1):
+    running = deltas[t] + flows[t] * running
+    advantages[t] = running
+  return advantages
+
+
+class Losses(NamedTuple):
+  """Scalars; `policy`, `value` and `entropy` make up the objective."""
+
+  policy: torch.Tensor
+  value: torch.Tensor
+  entropy: torch.Tensor
+  clip_fraction: torch.Tensor
+
+
+def ppo_losses(
+  new_log_prob: torch.Tensor,
+  old_log_prob: torch.Tensor,
+  advantages: torch.Tensor,
+  values: torch.Tensor,
+  targets: torch.Tensor,
+  std: torch.Tensor,
+  clip: float,
+) -> Losses:
+  """The clipped surrogate objective (Schulman et al. 2017, Eq. 7).
+
+  Args:
+    new_log_prob, old_log_prob: of the actions taken, [N].
+    advantages: normalised, [N].
+    values, targets: predicted and bootstrapped returns, [N].
+    std: of the actions, [A].
+    clip: epsilon.
+  """
+  ratio = torch.exp(new_log_prob - old_log_prob)
+  clipped = ratio.clamp(1 - clip, 1 + clip)
+  surrogate = torch.min(ratio * advantages, clipped * advantages)
+  return Losses(
+    policy=-surrogate.mean(),
+    value=torch.mean((values - targets) ** 2),
+    entropy=networks.entropy(std),
+    clip_fraction=(torch.abs(ratio.detach() - 1) > clip).float().mean(),
+  )

@@ -1,0 +1,142 @@
+"""Gaussian policy, value function and observation normaliser."""
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import nn
+
+_VARIANCE_FLOOR = 1e-4
+_CLIP = 8.0  # Normalised observations beyond this many sigmas are cut off.
+
+
+class Normaliser(nn.Module):
+  """Running mean and variance of the observations (Welford, by batches)."""
+
+  mean: torch.Tensor
+  variance: torch.Tensor
+  count: torch.Tensor
+
+  def __init__(self, size: int):
+    """Starts as the identity for observations of `size` numbers."""
+    super().__init__()
+    self.register_buffer('mean', torch.zeros(size))
+    self.register_buffer('variance', torch.ones(size))
+    self.register_buffer('count', torch.zeros((), dtype=torch.float64))
+
+  def forward(self, observation: torch.Tensor) -> torch.Tensor:
+    """Normalises observations [..., D]."""
+    scale = torch.rsqrt(self.variance + _VARIANCE_FLOOR)
+    return ((observation - self.mean) * scale).clamp_(-_CLIP, _CLIP)
+
+  @torch.no_grad()
+  def update(self, observations: torch.Tensor) -> None:
+    """Takes in a batch of observations [N, D] (Chan et al. 1979)."""
+    added = observations.shape[0]
+    total = self.count + added
+    share = float(added / total)
+    variance, mean = torch.var_mean(observations, dim=0, correction=0)
+    delta = mean - self.mean
+    self.variance.lerp_(variance, share)
+    self.variance.add_(delta**2 * (share * (1 - share)))
+    self.mean.add_(delta * share)
+    self.count.copy_(total)
+
+
+def mlp(sizes: tuple[int, ...]) -> nn.Sequential:
+  """A multi-layer perceptron with ELU between its layers."""
+  layers: list[nn.Module] = []
+  for i, (fan_in, fan_out) in enumerate(zip(sizes, sizes[1:], strict=False)):
+    if i:
+      layers.append(nn.ELU())
+    layers.append(nn.Linear(fan_in, fan_out))
+  return nn.Sequential(*layers)
+
+
+def linears_of(network: nn.Sequential) -> list[nn.Linear]:
+  """Returns the linear layers of a perceptron, in order."""
+  return [module for module in network if isinstance(module, nn.Linear)]
+
+
+class ActorCritic(nn.Module):
+  """pi(a | o) = N(mean(o), std^2) and v(o), two separate networks."""
+
+  def __init__(
+    self,
+    observation_size: int,
+    action_size: int,
+    hidden_sizes: tuple[int, ...],
+    initial_std: float = 0.25,
+    min_std: float = 0.1,
+    initial_action: np.ndarray | None = None,
+  ):
+    """Initialises orthogonally; the first actions are close to one point.
+
+    Args:
+      observation_size: D.
+      action_size: A.
+      hidden_sizes: of both networks.
+      initial_std: of the actions.
+      min_std: floor of the standard deviation.
+      initial_action: what the policy does before it learns, [A]; zero if None.
+    """
+    super().__init__()
+    self.normaliser = Normaliser(observation_size)
+    self.policy = mlp((observation_size, *hidden_sizes, action_size))
+    self.value = mlp((observation_size, *hidden_sizes, 1))
+    self.log_std = nn.Parameter(
+      torch.full((action_size,), float(np.log(initial_std)))
+    )
+    self._min_log_std = float(np.log(min_std))
+    for network, gain in ((self.policy, 0.01), (self.value, 1.0)):
+      linears = linears_of(network)
+      for linear in linears:
+        last = linear is linears[-1]
+        nn.init.orthogonal_(linear.weight, gain if last else 2**0.5)
+        nn.init.zeros_(linear.bias)
+    if initial_action is not None:
+      output = linears_of(self.policy)[-1]
+      output.bias.data.copy_(torch.as_tensor(initial_action))
+
+  @property
+  def std(self) -> torch.Tensor:
+    """Standard deviation of the actions, [A]."""
+    return self.log_std.clamp(min=self._min_log_std).exp()
+
+  def act(self, observation: torch.Tensor) -> torch.Tensor:
+    """Returns the mean actions for raw observations, [B, D] -> [B, A]."""
+    return self.policy(self.normaliser(observation))
+
+
+class Sample(NamedTuple):
+  """Actions [B, A], their log-probabilities [B] and means [B, A]."""
+
+  action: torch.Tensor
+  log_prob: torch.Tensor
+  mean: torch.Tensor
+
+
+def log_prob(
+  action: torch.Tensor, mean: torch.Tensor, std: torch.Tensor
+) -> torch.Tensor:
+  """Log-density of diagonal Gaussians, [B, A] -> [B]."""
+  constant = 0.5 * float(np.log(2 * np.pi))
+  z = (action - mean) / std
+  return (-0.5 * z**2 - torch.log(std) - constant).sum(dim=-1)
+
+
+def entropy(std: torch.Tensor) -> torch.Tensor:
+  """Entropy of a diagonal Gaussian with `std` [A], in nats."""
+  return (torch.log(std) + 0.5 * float(np.log(2 * np.pi * np.e))).sum()
+
+
+def kl_divergence(
+  mean: torch.Tensor,
+  std: torch.Tensor,
+  new_mean: torch.Tensor,
+  new_std: torch.Tensor,
+) -> torch.Tensor:
+  """KL(old || new) of diagonal Gaussians, [B, A] -> [B]."""
+  ratio = (std / new_std) ** 2
+  shift = ((mean - new_mean) / new_std) ** 2
+  return 0.5 * (ratio + shift - 1 - torch.log(ratio)).sum(dim=-1)

@@ -1,0 +1,245 @@
+"""The training loop: collect, learn, log, checkpoint."""
+
+import dataclasses
+import math
+import time
+from typing import Any, Callable, Mapping
+
+import numpy as np
+import torch
+
+from dmc_multimode.agents import environment as environment_lib
+from dmc_multimode.agents import loggers
+from dmc_multimode.agents.ppo import acting
+from dmc_multimode.agents.ppo import learning
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainingConfig:
+  """How long to train and how often to report.
+
+  Attributes:
+    steps: control steps of all worlds together.
+    minutes: wall-clock time of this process after which it stops.
+    log_every: iterations between rows in the logs.
+    checkpoint_seconds: most time between two checkpoints.
+  """
+
+  steps: int = 12_000_000
+  minutes: float = math.inf
+  log_every: int = 5
+  checkpoint_seconds: float = 60.0
+
+  def __post_init__(self) -> None:
+    for name in ('steps', 'minutes', 'log_every', 'checkpoint_seconds'):
+      if not getattr(self, name) > 0:
+        raise ValueError(f'{name} must be positive, got {getattr(self, name)}.')
+
+
+class ReturnTracker:
+  """Running means of normalised return and survival, per transition."""
+
+  _MEMORY = 0.98  # A mean follows about the last 50 episodes.
+
+  def __init__(self, num_modes: int):
+    """Starts at zero, with nothing seen."""
+    self.returns = np.zeros((num_modes, num_modes))
+    self.survival = np.zeros((num_modes, num_modes))
+    self.seen = np.zeros((num_modes, num_modes))
+
+  def update(self, results: environment_lib.EpisodeResults) -> None:
+    """Takes in finished episodes."""
+    for i, f, value, cause in zip(
+      results.initial,
+      results.final,
+      results.returns,
+      results.causes,
+      strict=True,
+    ):
+      self.seen[i, f] += 1
+      rate = max(1 - self._MEMORY, 1 / self.seen[i, f])
+      self.returns[i, f] += rate * (value - self.returns[i, f])
+      self.survival[i, f] += rate * ((cause == 0) - self.survival[i, f])
+
+  def summary(self, names: tuple[str, ...]) -> dict[str, float]:
+    """Returns MRA, survival, and both per mode and transition."""
+    diagonal = np.diagonal(self.returns)
+    result = {
+      'mra_modes': float(diagonal.mean()),
+      'mra_transitions': float(self.returns.mean()),
+      'survival': float(self.survival.mean()),
+      'worst_transition': float(self.returns.min()),
+    }
+    for i, name in enumerate(names):
+      result[f'return/{name}'] = float(self.returns[i, i])
+      result[f'survival/{name}'] = float(self.survival[i, i])
+    for i, first in enumerate(names):
+      for f, second in enumerate(names):
+        if i != f:
+          key = f'{first}->{second}'
+          result[f'return/{key}'] = float(self.returns[i, f])
+          result[f'survival/{key}'] = float(self.survival[i, f])
+    return result
+
+
+class TrainingLoop:
+  """Collects rollouts in all worlds, learns from them, over and over."""
+
+  def __init__(
+    self,
+    environment: environment_lib.BatchedEnvironment,
+    actor: acting.BatchedActor,
+    learner: learning.PPOLearner,
+    rollout_length: int,
+    mode_names: tuple[str, ...],
+    probabilities: Callable[[], Mapping[str, float]],
+  ):
+    """Connects the parts and resets the environment.
+
+    Args:
+      environment: B worlds.
+      actor: explores in them.
+      learner: updates the actor's network.
+      rollout_length: control steps a world and iteration.
+      mode_names: of the modes that episodes are about, for the logs.
+      probabilities: what is sampled how often, for the logs.
+    """
+    self._environment = environment
+    self._actor, self._learner = actor, learner
+    self._length = rollout_length
+    self._names = mode_names
+    self._probabilities = probabilities
+    self._returns = ReturnTracker(len(mode_names))
+    self.steps = self.iterations = 0
+    self._observation = torch.from_numpy(environment.reset())
+    self._buffers = self._allocate()
+
+  def _allocate(self) -> learning.Rollouts:
+    shape = (self._length, self._environment.num_worlds)
+    size = self._environment.observation_spec().shape[0]
+    actions = self._environment.action_spec().shape[0]
+    return learning.Rollouts(
+      observations=torch.zeros(*shape, size),
+      actions=torch.zeros(*shape, actions),
+      log_probs=torch.zeros(shape),
+      means=torch.zeros(*shape, actions),
+      rewards=torch.zeros(shape),
+      discounts=torch.zeros(shape),
+      last=torch.zeros(shape, dtype=torch.bool),
+      next_observations=torch.zeros(*shape, size),
+    )
+
+  def _collect(self) -> None:
+    """Fills the buffers with one rollout of every world."""
+    data, seen = self._buffers, self._observation
+    for t in range(self._length):
+      sample = self._actor.sample(seen)
+      step = self._environment.step(sample.action.numpy())
+      data.observations[t], data.actions[t] = seen, sample.action
+      data.log_probs[t], data.means[t] = sample.log_prob, sample.mean
+      data.rewards[t] = torch.from_numpy(step.reward)
+      data.discounts[t] = torch.from_numpy(step.discount)
+      data.last[t] = torch.from_numpy(step.last)
+      seen = torch.from_numpy(step.observation)
+      data.next_observations[t] = seen
+      # What a terminated world saw last is worth nothing and, where the
+      # physics diverged, not finite.
+      worlds = step.results.worlds
+      timed_out = step.discount[worlds] > 0
+      data.next_observations[t, torch.from_numpy(worlds[timed_out])] = (
+        torch.from_numpy(step.final_observation[timed_out])
+      )
+      self._returns.update(step.results)
+    self._observation = seen
+    self.steps += self._length * self._environment.num_worlds
+    self.iterations += 1
+
+  def run(
+    self,
+    config: TrainingConfig,
+    logger: loggers.Logger,
+    save: Callable[[], None],
+    should_stop: Callable[[], bool] = lambda: False,
+  ) -> None:
+    """Trains until `config.steps`, the time is up or `should_stop`.
+
+    Args:
+      config: how long, how often.
+      logger: gets a row every `config.log_every` iterations.
+      save: called at least every `config.checkpoint_seconds` and at the end.
+      should_stop: asked after every iteration.
+    """
+    began = saved = logged = time.monotonic()
+    logged_steps = self.steps
+    while self.steps < config.steps:
+      self._collect()
+      metrics = self._learner.step(self._buffers)
+      now = time.monotonic()
+      if self.iterations % config.log_every == 0:
+        speed = (self.steps - logged_steps) / (now - logged)
+        logged, logged_steps = now, self.steps
+        logger.write(self._row(metrics, speed))
+      if now - saved > config.checkpoint_seconds:
+        save()
+        saved = time.monotonic()
+      if should_stop() or now - began > 60 * config.minutes:
+        break
+    save()
+
+  def _row(self, metrics: dict[str, float], speed: float) -> dict[str, float]:
+    return {
+      'steps': self.steps,
+      'steps_per_second': speed,
+      **self._returns.summary(self._names),
+      **metrics,
+      **self._probabilities(),
+    }
+
+  def state(self) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Returns tensors and JSON-able values that `restore` needs."""
+    tensors: dict[str, Any] = {}
+    for prefix, part in self._parts():
+      tensors |= {f'{prefix}/{k}': v for k, v in part.state().items()}
+    for name in ('returns', 'survival', 'seen'):
+      tensors[f'tracker/{name}'] = getattr(self._returns, name).copy()
+    return tensors, {'steps': self.steps, 'iterations': self.iterations}
+
+  def _parts(self) -> tuple[tuple[str, Any], ...]:
+    return (
+      ('learner', self._learner),
+      ('actor', self._actor),
+      ('environment', self._environment),
+    )
+
+  def restore(
+    self, tensors: Mapping[str, torch.Tensor], values: Mapping[str, Any]
+  ) -> None:
+    """Takes over a `state`; training then continues bit for bit.
+
+    Raises:
+      ValueError: the state is of another network, task or number of worlds.
+    """
+    try:
+      self._learner.restore(_sub(tensors, 'learner/'))
+      self._actor.restore(_sub(tensors, 'actor/'))
+      world_state = {
+        k: v.numpy() for k, v in _sub(tensors, 'environment/').items()
+      }
+      self._observation = torch.from_numpy(
+        self._environment.restore(world_state)
+      )
+      for name, value in _sub(tensors, 'tracker/').items():
+        getattr(self._returns, name)[:] = value.numpy()
+    except KeyError as error:
+      raise ValueError(f'The checkpoint lacks {error}.') from error
+    self.steps, self.iterations = values['steps'], values['iterations']
+
+
+def _sub(
+  tensors: Mapping[str, torch.Tensor], prefix: str
+) -> dict[str, torch.Tensor]:
+  return {
+    key.removeprefix(prefix): value
+    for key, value in tensors.items()
+    if key.startswith(prefix)
+  }

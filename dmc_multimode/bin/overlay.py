@@ -1,0 +1,121 @@
+"""What is written into the frames of a recording."""
+
+import functools
+from typing import NamedTuple, Sequence
+
+import numpy as np
+import PIL.Image
+import PIL.ImageDraw
+import PIL.ImageFont
+
+_INK, _FAINT, _WARNING = (22, 28, 36), (92, 102, 114), (200, 30, 30)
+_PAPER = 0.72  # Opacity of the panel behind the text.
+_PALETTE = (  # One colour a mode, told apart by most eyes (Okabe and Ito).
+  (0, 114, 178),
+  (230, 130, 0),
+  (0, 158, 115),
+  (204, 90, 150),
+  (86, 160, 220),
+  (190, 80, 0),
+  (120, 120, 120),
+)
+
+
+class Caption(NamedTuple):
+  """The text of one frame.
+
+  Attributes:
+    mode: index of the running mode, which gives the title's colour.
+    title: in large letters.
+    lines: below it.
+    warning: in red below those; empty for none.
+  """
+
+  mode: int
+  title: str
+  lines: Sequence[str]
+  warning: str = ''
+
+
+class Timeline(NamedTuple):
+  """The bar along the lower edge.
+
+  Attributes:
+    modes: indices of the commanded modes, in their order.
+    ends: when each command ends, as shares of the whole, rising to 1.
+  """
+
+  modes: Sequence[int]
+  ends: Sequence[float]
+
+
+def colour(mode: int) -> tuple[int, int, int]:
+  """RGB of a mode by its index."""
+  return _PALETTE[mode % len(_PALETTE)]
+
+
+def draw(
+  frame: np.ndarray, caption: Caption, timeline: Timeline, progress: float
+) -> np.ndarray:
+  """Returns a frame with its caption and the timeline.
+
+  Args:
+    frame: uint8 [H, W, 3]; stays as it is.
+    caption: the text.
+    timeline: the schedule.
+    progress: share of the recording that is over, in [0, 1].
+  """
+  image = PIL.Image.fromarray(frame)
+  size = max(9, round(image.height / 28))
+  texts = [(caption.title, round(1.5 * size), colour(caption.mode))]
+  texts += [(line, size, _INK) for line in caption.lines]
+  if caption.warning:
+    texts.append((caption.warning, size, _WARNING))
+  _panel(image, texts, size)
+  _bar(image, timeline, progress)
+  return np.asarray(image)
+
+
+def _panel(
+  image: PIL.Image.Image,
+  texts: Sequence[tuple[str, int, tuple[int, int, int]]],
+  margin: int,
+) -> None:
+  """Writes lines of (text, size, colour) into the upper left corner."""
+  steps = [round(1.35 * size) for _, size, _ in texts]
+  width = max(_font(size).getlength(text) for text, size, _ in texts)
+  box = (
+    margin // 2,
+    margin // 2,
+    min(image.width, margin // 2 + round(width) + margin),
+    min(image.height, margin // 2 + sum(steps) + margin // 2),
+  )
+  below = image.crop(box)
+  paper = PIL.Image.new('RGB', below.size, (255, 255, 255))
+  image.paste(PIL.Image.blend(below, paper, _PAPER), box)
+  pen, y = PIL.ImageDraw.Draw(image), margin * 3 // 4
+  for (text, size, ink), step in zip(texts, steps, strict=True):
+    pen.text((margin, y), text, fill=ink, font=_font(size))
+    y += step
+
+
+def _bar(image: PIL.Image.Image, timeline: Timeline, progress: float) -> None:
+  """Draws the schedule as coloured blocks: full up to now, pale beyond."""
+  pen = PIL.ImageDraw.Draw(image)
+  top, bottom = image.height - max(4, image.height // 60), image.height
+  now, left = progress * image.width, 0.0
+  for mode, end in zip(timeline.modes, timeline.ends, strict=True):
+    full = colour(mode)
+    pale = tuple(255 - (255 - value) * 2 // 5 for value in full)
+    right = end * image.width
+    pen.rectangle((left, top, right, bottom), fill=pale)
+    if now > left:
+      pen.rectangle((left, top, min(now, right), bottom), fill=full)
+    left = right
+  half = max(1, image.height // 240)
+  pen.rectangle((now - half, top - 2 * half, now + half, bottom), fill=_INK)
+
+
+@functools.cache
+def _font(size: int) -> PIL.ImageFont.FreeTypeFont | PIL.ImageFont.ImageFont:
+  return PIL.ImageFont.load_default(size)

@@ -1,0 +1,116 @@
+"""A roll-out as a video: the physics, drawn, captioned and encoded."""
+
+import dataclasses
+import math
+import pathlib
+
+import numpy as np
+import tqdm
+
+from dmc_multimode import pretrained
+from dmc_multimode.bin import overlay
+from dmc_multimode.bin import rollout as rollout_lib
+from dmc_multimode.bin import scene
+from dmc_multimode.bin import video
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordingConfig:
+  """How a roll-out is drawn.
+
+  Attributes:
+    camera: one of `scene.VIEWS`, or a camera of the model.
+    width: pixels, even.
+    height: pixels, even.
+    ghost: whether the reference is drawn.
+    slow_motion: seconds of video per second of simulation.
+  """
+
+  camera: str = 'side'
+  width: int = 640
+  height: int = 480
+  ghost: bool = True
+  slow_motion: float = 1.0
+
+  def __post_init__(self) -> None:
+    video.check_size(self.width, self.height)
+    if not (math.isfinite(self.slow_motion) and 0 < self.slow_motion <= 100):
+      raise ValueError(
+        f'slow_motion must be within 0 and 100, got {self.slow_motion}.'
+      )
+
+
+def record(
+  policy: pretrained.Policy,
+  rollout_config: rollout_lib.RolloutConfig,
+  config: RecordingConfig,
+  out: pathlib.Path,
+) -> None:
+  """Rolls out, writes the video and prints how each command went.
+
+  A frame a control step; the file appears when it is complete.
+
+  Args:
+    policy: what acts.
+    rollout_config: what it does.
+    config: how that is drawn.
+    out: the video, an .mp4 file.
+
+  Raises:
+    ValueError: a mode, arena or camera is unknown, or a number out of bounds.
+    OSError: the video cannot be written.
+  """
+  rollout = rollout_lib.Rollout(policy, rollout_config)
+  scene.prepare(rollout.task, config.width, config.height)
+  physics = rollout.start()
+  start = physics.data.qpos[:3].copy()
+  camera = scene.Camera(
+    physics,
+    rollout.task,
+    config.camera,
+    config.width,
+    config.height,
+    config.ghost,
+  )
+  rate = 1 / (rollout.task.control_timestep * config.slow_motion)
+  bar = tqdm.tqdm(rollout.steps(), 'recording', rollout.num_steps, unit='frame')
+  steps: list[rollout_lib.Step] = []
+  captions = Captions(rollout)
+  with bar, video.VideoWriter(out, config.width, config.height, rate) as file:
+    for step in bar:
+      steps.append(step)
+      file.write(captions.draw(camera.render(), step))
+  for outcome in rollout_lib.outcomes(rollout_config, start, steps):
+    print(outcome)
+  print(f'wrote {out} ({len(steps)} frames)')
+
+
+class Captions:
+  """Writes what a step led to into its frame."""
+
+  def __init__(self, rollout: rollout_lib.Rollout):
+    """Captions the steps of `rollout`, in their order."""
+    self._rollout = rollout
+    self._names = [motion.name for motion in rollout.task.motions]
+    self._timeline = overlay.Timeline(
+      rollout.schedule.modes[0].tolist(), rollout.ends.tolist()
+    )
+    self._warning = ''
+
+  def draw(self, frame: np.ndarray, step: rollout_lib.Step) -> np.ndarray:
+    """Returns the frame of a step with its caption, uint8 [H, W, 3]."""
+    if step.cause != 'none' and not self._warning:
+      self._warning = f'failed at {step.time:.2f} s: {step.cause}'
+    caption = overlay.Caption(
+      self._names.index(step.mode),
+      step.mode,
+      (
+        f'time {step.time:.2f} s',
+        f'height {step.height:.2f} m',
+        f'speed {step.speed:.2f} m/s',
+        f'reward {step.reward:.2f}',
+      ),
+      self._warning,
+    )
+    total = self._rollout.num_steps * self._rollout.task.control_timestep
+    return overlay.draw(frame, caption, self._timeline, step.time / total)

@@ -1,0 +1,196 @@
+"""What a training run is made of: its configuration, and its parts."""
+
+import dataclasses
+import json
+import pathlib
+from typing import Any, Mapping
+
+import torch
+
+from dmc_multimode.agents import checkpointing
+from dmc_multimode.agents import training
+from dmc_multimode.agents.ppo import builder as builder_lib
+from dmc_multimode.agents.ppo import config as ppo_config
+from dmc_multimode.agents.ppo import networks
+from dmc_multimode.agents.ppo import symmetry
+from dmc_multimode.arenas import track
+from dmc_multimode.modes import codebook as codebook_lib
+from dmc_multimode.modes import files
+from dmc_multimode.modes import reference
+from dmc_multimode.modes import sampling as sampling_lib
+from dmc_multimode.pretrained import policy as policy_lib
+from dmc_multimode.suite import batched
+from dmc_multimode.suite import config as task_config
+from dmc_multimode.suite import episodes
+from dmc_multimode.suite import multimode_biped
+
+CONFIG_FILE = 'config.json'
+_FLAT_SEGMENTS = 2  # The ground and the step of at most one command.
+
+
+@dataclasses.dataclass(frozen=True)
+class RunConfig:
+  """Everything that decides a run's result.
+
+  Attributes:
+    modes: a set's name or mode names, comma-separated.
+    seed: of all randomness.
+    num_worlds: stepped together.
+    threads: of the physics and of torch; part of bit-reproducibility.
+    one_hot: one-hot commands instead of an encoder's latents.
+    ppo: of the learner.
+    sampling: of Algorithm 1.
+    task: of the imitation task.
+  """
+
+  modes: str = 'quickstart'
+  seed: int = 0
+  num_worlds: int = 512
+  threads: int = 2
+  one_hot: bool = False
+  ppo: ppo_config.PPOConfig = ppo_config.PPOConfig()
+  sampling: sampling_lib.SamplingConfig = sampling_lib.SamplingConfig()
+  task: task_config.ImitationConfig = task_config.ImitationConfig()
+
+  def __post_init__(self) -> None:
+    for name in ('num_worlds', 'threads'):
+      if getattr(self, name) < 1:
+        raise ValueError(f'{name} must be positive, got {getattr(self, name)}.')
+
+
+def to_dict(config: RunConfig) -> dict[str, Any]:
+  """Returns the configuration as JSON-able values."""
+  values = dataclasses.asdict(config)
+  values['ppo']['hidden_sizes'] = list(config.ppo.hidden_sizes)
+  values['task'] = task_config.to_dict(config.task)
+  return values
+
+
+def from_dict(values: Mapping[str, Any]) -> RunConfig:
+  """Returns what `to_dict` was given; raises ValueError for anything else."""
+  try:
+    ppo = dict(values['ppo'])
+    ppo['hidden_sizes'] = tuple(ppo['hidden_sizes'])
+    return RunConfig(
+      **{
+        **values,
+        'ppo': ppo_config.PPOConfig(**ppo),
+        'sampling': sampling_lib.SamplingConfig(**values['sampling']),
+        'task': task_config.from_dict(values['task']),
+      }
+    )
+  except (TypeError, KeyError) as error:
+    raise ValueError(f'Not the configuration of a run: {error}.') from error
+
+
+def save_run(
+  directory: pathlib.Path,
+  config: RunConfig,
+  motions: tuple[reference.ReferenceMotion, ...],
+  codebook: codebook_lib.Codebook,
+) -> None:
+  """Writes what a run needs to be resumed, besides its checkpoint."""
+  description = {
+    'run': to_dict(config),
+    'modes': [files.motion_to_dict(motion) for motion in motions],
+    'latents': codebook.latents.tolist(),
+  }
+  checkpointing.write_atomically(
+    directory / CONFIG_FILE, json.dumps(description, indent=1).encode()
+  )
+
+
+def load_run(
+  directory: pathlib.Path,
+) -> tuple[
+  RunConfig, tuple[reference.ReferenceMotion, ...], codebook_lib.Codebook
+]:
+  """Reads what `save_run` wrote.
+
+  Raises:
+    FileNotFoundError: the folder holds no run.
+    ValueError: the file is damaged.
+  """
+  path = directory / CONFIG_FILE
+  if not path.is_file():
+    raise FileNotFoundError(
+      f'{directory} holds no run to resume; start one without --resume.'
+    )
+  try:
+    description = json.loads(path.read_text(encoding='utf-8'))
+    motions = tuple(files.motion_from_dict(m) for m in description['modes'])
+    names = tuple(motion.name for motion in motions)
+    codebook = codebook_lib.Codebook(names, description['latents'])
+    return from_dict(description['run']), motions, codebook
+  except (KeyError, TypeError, ValueError) as error:
+    raise ValueError(f'{path} is damaged: {error}') from error
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Run:
+  """The parts of a run, connected.
+
+  Attributes:
+    config: of the run.
+    environment: the worlds.
+    network: what is learned.
+    loop: collects and learns.
+  """
+
+  config: RunConfig
+  environment: batched.BatchedImitation
+  network: networks.ActorCritic
+  loop: training.TrainingLoop
+
+  def policy(self) -> policy_lib.Policy:
+    """Returns the policy as it is now."""
+    provenance = {
+      'steps': self.loop.steps,
+      'run': to_dict(self.config),
+    }
+    return policy_lib.Policy(
+      self.network,
+      self.config.ppo.hidden_sizes,
+      self.environment.motions,
+      self.environment.codebook,
+      self.config.task,
+      provenance,
+    )
+
+
+def build(
+  config: RunConfig,
+  motions: tuple[reference.ReferenceMotion, ...],
+  codebook: codebook_lib.Codebook,
+) -> Run:
+  """Connects environment, agent and loop; nothing is trained yet."""
+  torch.set_num_threads(config.threads)
+  bank = reference.ReferenceBank(motions)
+  task = multimode_biped.make_task(
+    motions,
+    codebook,
+    episodes.TransitionEpisodes(bank, config.sampling),
+    track.make('flat', _FLAT_SEGMENTS),
+    config.task,
+  )
+  environment = batched.BatchedImitation(
+    task, config.num_worlds, config.seed, config.threads
+  )
+  builder = builder_lib.PPOBuilder(config.ppo, config.seed)
+  network = builder.make_networks(
+    environment.observation_spec(),
+    environment.action_spec(),
+    environment.standing_action(),
+  )
+  mirror = None
+  if config.ppo.symmetry != 'none':
+    mirror = symmetry.Mirror(environment.mirror_image(), codebook.latents)
+  loop = training.TrainingLoop(
+    environment,
+    builder.make_actor(network),
+    builder.make_learner(network, mirror),
+    config.ppo.rollout_length,
+    codebook.names,
+    environment.episodes.probabilities,
+  )
+  return Run(config, environment, network, loop)

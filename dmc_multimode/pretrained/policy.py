@@ -1,0 +1,203 @@
+"""A policy on disk: weights, the modes it knows, and the task it was made for.
+
+A policy is a folder of
+
+    policy.safetensors  weights and observation normaliser
+    policy.json         sizes, mode definitions, latents, task configuration
+    metrics.json        what `evaluate` measured (optional)
+
+and never a pickle: loading one runs no code.
+"""
+
+import dataclasses
+import functools
+import json
+import os
+import pathlib
+from typing import Any, Mapping
+
+import mujoco
+import numpy as np
+import torch
+
+from dmc_multimode import resources
+from dmc_multimode.agents import checkpointing
+from dmc_multimode.agents.ppo import acting
+from dmc_multimode.agents.ppo import networks
+from dmc_multimode.modes import codebook as codebook_lib
+from dmc_multimode.modes import files
+from dmc_multimode.modes import reference
+from dmc_multimode.suite import config as config_lib
+from dmc_multimode.suite import observations
+
+WEIGHTS_FILE = 'policy.safetensors'
+DESCRIPTION_FILE = 'policy.json'
+METRICS_FILE = 'metrics.json'
+RUN_SUBFOLDER = 'policy'  # Where a training run keeps its policy.
+
+_FORMAT = 'dmc_multimode.policy.1'
+_MAX_BYTES = 64 << 20  # Larger files are none of ours.
+_MAX_UNITS = 4096
+_NUM_ACTIONS = observations.NUM_JOINTS
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Policy:
+  """One latent-conditioned policy and what it needs to be run.
+
+  Attributes:
+    network: policy, value function and normaliser.
+    hidden_sizes: of the network.
+    motions: the modes that it was trained on, in the order of their indices.
+    codebook: their latents.
+    config: the task that it was trained for.
+    provenance: steps, seed, versions and whatever else tells how it was made.
+    metrics: what `evaluate` wrote, or empty.
+  """
+
+  network: networks.ActorCritic
+  hidden_sizes: tuple[int, ...]
+  motions: tuple[reference.ReferenceMotion, ...]
+  codebook: codebook_lib.Codebook
+  config: config_lib.ImitationConfig
+  provenance: Mapping[str, Any]
+  metrics: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+  @functools.cached_property
+  def actor(self) -> acting.FeedForwardActor:
+    """Acts in one dm_env environment, deterministically."""
+    return acting.FeedForwardActor(self.network)
+
+  @torch.no_grad()
+  def select_action(self, observations: np.ndarray) -> np.ndarray:
+    """Returns mean actions [B, 10] for flat observations float32 [B, D]."""
+    return self.network.act(torch.from_numpy(observations)).numpy()
+
+  def save(self, directory: pathlib.Path) -> None:
+    """Writes the policy's files, each whole or not at all."""
+    directory.mkdir(parents=True, exist_ok=True)
+    description = {
+      'format': _FORMAT,
+      'hidden_sizes': list(self.hidden_sizes),
+      'modes': [files.motion_to_dict(motion) for motion in self.motions],
+      'latents': self.codebook.latents.tolist(),
+      'task': config_lib.to_dict(self.config),
+      'provenance': {
+        'mujoco': mujoco.__version__,
+        'torch': torch.__version__,
+        **self.provenance,
+      },
+    }
+    checkpointing.save_tensors(
+      directory / WEIGHTS_FILE, self.network.state_dict(), {'format': _FORMAT}
+    )
+    checkpointing.write_atomically(
+      directory / DESCRIPTION_FILE, json.dumps(description, indent=1).encode()
+    )
+
+
+def load(policy: str | os.PathLike[str]) -> Policy:
+  """Loads a policy by the name of a shipped one, or from a folder.
+
+  Args:
+    policy: 'quickstart', a policy's folder, or a training run's folder.
+
+  Raises:
+    FileNotFoundError: there is no such policy; the message lists those there
+      are.
+    ValueError: a file is truncated, foreign, or does not fit the others.
+  """
+  directory = _find(policy)
+  description = _read_json(directory / DESCRIPTION_FILE)
+  if description.get('format') != _FORMAT:
+    raise ValueError(
+      f'{directory / DESCRIPTION_FILE} is not a policy of this version.'
+    )
+  try:
+    loaded = _build(directory, description)
+  except (KeyError, TypeError, OverflowError) as error:
+    raise ValueError(
+      f'{directory / DESCRIPTION_FILE} is damaged: {error!r}.'
+    ) from error
+  return loaded
+
+
+def _find(policy: str | os.PathLike[str]) -> pathlib.Path:
+  """Returns the folder that holds the policy's files."""
+  path = pathlib.Path(policy)
+  for candidate in (path, path / RUN_SUBFOLDER):
+    if (candidate / DESCRIPTION_FILE).is_file():
+      return candidate
+  if path.exists() and os.sep in os.fspath(policy):
+    raise FileNotFoundError(
+      f'{path} holds no {DESCRIPTION_FILE}: it is not the folder of a policy '
+      'or of a training run that has saved one.'
+    )
+  found = resources.path('pretrained', os.fspath(policy))
+  if not (found / DESCRIPTION_FILE).is_file():
+    raise FileNotFoundError(f'pretrained {os.fspath(policy)!r} is no policy.')
+  return found
+
+
+def _read_json(path: pathlib.Path) -> dict[str, Any]:
+  if path.stat().st_size > _MAX_BYTES:
+    raise ValueError(f'{path} is too large for a policy.')
+  try:
+    content = json.loads(path.read_text(encoding='utf-8'))
+  except ValueError as error:
+    raise ValueError(f'{path} is damaged: {error}.') from error
+  if not isinstance(content, dict):
+    raise ValueError(f'{path} is damaged: it holds no object.')
+  return content
+
+
+def _build(directory: pathlib.Path, description: dict[str, Any]) -> Policy:
+  hidden = tuple(int(size) for size in description['hidden_sizes'])
+  if (
+    not hidden
+    or len(hidden) > 8
+    or not all(0 < h <= _MAX_UNITS for h in hidden)
+  ):
+    raise ValueError(f'{directory}: hidden sizes {hidden} are out of bounds.')
+  motions = tuple(files.motion_from_dict(m) for m in description['modes'])
+  codebook = codebook_lib.Codebook(
+    tuple(motion.name for motion in motions),
+    np.array(description['latents'], dtype=np.float32),
+  )
+  size = 2 + codebook.latent_dim + observations.STATE_SIZE
+  network = networks.ActorCritic(size, _NUM_ACTIONS, hidden)
+  _load_weights(network, directory / WEIGHTS_FILE)
+  metrics = directory / METRICS_FILE
+  return Policy(
+    network,
+    hidden,
+    motions,
+    codebook,
+    config_lib.from_dict(description['task']),
+    description.get('provenance', {}),
+    _read_json(metrics) if metrics.exists() else {},
+  )
+
+
+def _load_weights(network: networks.ActorCritic, path: pathlib.Path) -> None:
+  if not path.is_file():
+    raise FileNotFoundError(f'{path} does not exist.')
+  if path.stat().st_size > _MAX_BYTES:
+    raise ValueError(f'{path} is too large for a policy.')
+  weights, metadata = checkpointing.load_tensors(path)
+  if metadata.get('format') != _FORMAT:
+    raise ValueError(f'{path} does not hold the weights of a policy.')
+  expected = {k: tuple(v.shape) for k, v in network.state_dict().items()}
+  found = {k: tuple(v.shape) for k, v in weights.items()}
+  if expected != found:
+    wrong = next(
+      k for k in [*expected, *found] if expected.get(k) != found.get(k)
+    )
+    raise ValueError(
+      f'{path}: {wrong} has shape {found.get(wrong)}, expected '
+      f'{expected.get(wrong)}; the weights are of another network or of other '
+      'latents.'
+    )
+  if not all(torch.isfinite(v).all() for v in weights.values()):
+    raise ValueError(f'{path} holds weights that are not finite.')
+  network.load_state_dict(weights)
