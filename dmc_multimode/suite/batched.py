@@ -194,7 +194,9 @@ class BatchedImitation:
     last &= ~self._ended
     ids = np.flatnonzero(last)
     results = self._results(ids, outcome.cause)
-    final_observation = observation[ids]
+    # A learner multiplies what it makes of this by a discount of 0 where the
+    # state diverged, which would still be NaN.
+    final_observation = np.nan_to_num(observation[ids], posinf=0, neginf=0)
     if self._auto_reset:
       self._begin(ids)
       if len(ids):

@@ -84,9 +84,15 @@ class ImitationConfig:
     return round(self.time_limit / self.control_timestep)
 
 
-def deterministic(config: ImitationConfig) -> ImitationConfig:
-  """Returns the configuration of evaluation: from rest, edges in place."""
-  return dataclasses.replace(config, reference_starts=0.0, edge_noise=0.0)
+def for_evaluation(config: ImitationConfig) -> ImitationConfig:
+  """Returns the task without what only serves training.
+
+  Episodes start from rest, edges are in place, and the bound on the distance
+  is the final one.
+  """
+  return dataclasses.replace(
+    config, reference_starts=0.0, edge_noise=0.0, tighten_steps=0
+  )
 
 
 def to_dict(config: ImitationConfig) -> dict[str, Any]:

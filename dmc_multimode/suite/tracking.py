@@ -70,6 +70,7 @@ class ModeTracker:
         f'{self.bank.names}.'
       )
     self.codebook = codebook
+    self._latents = codebook.latents.astype(np.float64)
     self._timestep = control_timestep
     num, knots = num_worlds, max_knots
     zeros = lambda *shape: np.zeros(shape, dtype=np.int64)
@@ -220,7 +221,7 @@ class ModeTracker:
 
   def commands(self) -> np.ndarray:
     """Returns the latents of the running modes, [B, n_m]."""
-    return self.codebook.latents[self.state.mode]
+    return self._latents[self.state.mode]
 
 
 def _turn(vectors: np.ndarray, heading: np.ndarray) -> np.ndarray:

@@ -69,9 +69,7 @@ class ModeSamplerTest(parameterized.TestCase):
     np.testing.assert_allclose(sampler.final_returns, [[2.0, 1.0], [0.0, 0.0]])
     sampler.update(np.array([0]), np.array([1]), np.array([4.0]))
     np.testing.assert_allclose(sampler.initial_returns, [5.25, 0.0])
-    np.testing.assert_allclose(
-      sampler.final_returns, [[2.0, 4.25], [0.0, 0.0]]
-    )
+    np.testing.assert_allclose(sampler.final_returns, [[2.0, 4.25], [0.0, 0.0]])
     # Rows of p_f belong to initial modes: (2, 4.25) -> (1, 0) + 0.2.
     np.testing.assert_allclose(
       sampler.final_probabilities, [[1.2 / 1.4, 0.2 / 1.4], [0.5, 0.5]]
@@ -110,9 +108,7 @@ class ModeSamplerTest(parameterized.TestCase):
     self.assertNotIn(1, initial)
 
   def test_uniform_baseline_learns_nothing(self) -> None:
-    sampler = sampling.ModeSampler(
-      2, sampling.SamplingConfig(adaptive=False)
-    )
+    sampler = sampling.ModeSampler(2, sampling.SamplingConfig(adaptive=False))
     sampler.update(np.array([0]), np.array([1]), np.array([5.0]))
     np.testing.assert_allclose(sampler.initial_probabilities, [0.5, 0.5])
     np.testing.assert_allclose(
@@ -144,9 +140,7 @@ class ModeSamplerTest(parameterized.TestCase):
     ({'epsilon': -0.1}, 'epsilon'),
     ({'epsilon': float('nan')}, 'epsilon'),
   )
-  def test_config_rejects(
-    self, values: dict[str, float], message: str
-  ) -> None:
+  def test_config_rejects(self, values: dict[str, float], message: str) -> None:
     with self.assertRaisesRegex(ValueError, message):
       sampling.SamplingConfig(**values)  # type: ignore[arg-type]
 

@@ -1,0 +1,140 @@
+"""Tests of dmc_multimode.arenas.terrain."""
+
+from absl.testing import absltest
+from absl.testing import parameterized
+import hypothesis
+import hypothesis.strategies as st
+import numpy as np
+
+from dmc_multimode.arenas import terrain
+
+
+def _terrain(
+  *segments: tuple[float, float, float], num_segments: int = 4
+) -> terrain.Terrain:
+  """One terrain of (start, end, top) triples."""
+  result = terrain.empty(1, num_segments)
+  for i, segment in enumerate(segments):
+    for field, value in zip(result, segment, strict=True):
+      field[0, i] = value
+  return result
+
+
+# Ground, a gap of 0.5 m, a plateau of 0.2 m that a block of 0.6 m touches.
+_COURSE = _terrain((-20, 1, 0), (1.5, 2, 0.2), (2, 9, 0.6))
+
+
+def _at(course: terrain.Terrain, *x: float) -> np.ndarray:
+  """Support heights of one terrain under several points."""
+  worlds = course.rows(np.zeros(len(x), dtype=np.int64))
+  return terrain.support_height(worlds, np.array(x))
+
+
+@st.composite
+def _courses(draw: st.DrawFn) -> list[tuple[float, float, float]]:
+  """Segments in order, with or without gaps between them."""
+  size = st.floats(0.1, 3.0)
+  x, segments = -5.0, []
+  for _ in range(draw(st.integers(1, 4))):
+    start = x + draw(st.one_of(st.just(0.0), size))
+    x = start + draw(size)
+    segments.append((start, x, draw(st.floats(-1.0, 1.0))))
+  return segments
+
+
+class SupportHeightTest(parameterized.TestCase):
+  @parameterized.parameters(
+    (-30.0, 0.0),  # Behind everything: the first segment.
+    (0.0, 0.0),
+    (1.0, 0.0),
+    (1.25, 0.0),  # Over the gap: that before it.
+    (1.4999, 0.0),
+    (1.5, 0.2),  # An edge belongs to the segment that starts there.
+    (1.9999, 0.2),
+    (2.0, 0.6),
+    (50.0, 0.6),  # Past the end: the last one.
+  )
+  def test_by_hand(self, x: float, expected: float) -> None:
+    self.assertEqual(_at(_COURSE, x)[0], expected)
+
+  def test_batch(self) -> None:
+    both = terrain.empty(2, 4)
+    both.write(np.array([0]), _COURSE)
+    both.write(np.array([1]), _terrain((-20, 20, 0.1)))
+    heights = terrain.support_height(both, np.array([1.7, 1.7]))
+    np.testing.assert_array_equal(heights, [0.2, 0.1])
+
+  @hypothesis.settings(max_examples=100, deadline=None)
+  @hypothesis.given(segments=_courses(), x=st.floats(-10.0, 25.0))
+  def test_is_the_last_segment_that_has_started(
+    self, segments: list[tuple[float, float, float]], x: float
+  ) -> None:
+    started = [top for start, _, top in segments if start <= x]
+    expected = started[-1] if started else segments[0][2]
+    self.assertEqual(_at(_terrain(*segments), x)[0], expected)
+
+
+class ClearanceHeightTest(parameterized.TestCase):
+  @parameterized.parameters(
+    (0.0, 0.2, 0.0),
+    (1.4, 0.2, 0.2),  # The plateau is within reach over the gap.
+    (1.9, 0.2, 0.6),
+    (1.7, 0.1, 0.2),
+    (1.25, 0.1, 0.0),  # Nothing within reach: the support's own.
+  )
+  def test_by_hand(self, x: float, reach: float, expected: float) -> None:
+    height = terrain.clearance_height(_COURSE, np.array([x]), reach)
+    self.assertEqual(height[0], expected)
+
+  def test_sees_what_lies_behind(self) -> None:
+    down = _terrain((-20, 1, 0.5), (1, 20, 0.0))
+    height = terrain.clearance_height(down, np.array([1.05]), 0.1)
+    self.assertEqual(height[0], 0.5)
+
+
+class WithStepTest(parameterized.TestCase):
+  def test_by_hand(self) -> None:
+    stepped = terrain.with_step(_COURSE, np.array([0.0]), np.array([0.3]), 0.4)
+    np.testing.assert_array_equal(stepped.starts, [[-20, 0.3, np.inf, np.inf]])
+    np.testing.assert_array_equal(stepped.ends, [[0.3, 9, np.inf, np.inf]])
+    np.testing.assert_array_equal(stepped.tops, [[0, 0.4, 0, 0]])
+    self.assertEqual(_at(_COURSE, 1.7)[0], 0.2)  # The old one is untouched.
+
+  def test_is_relative_to_the_support(self) -> None:
+    stepped = terrain.with_step(_COURSE, np.array([1.7]), np.array([1.9]), -0.1)
+    np.testing.assert_allclose(
+      _at(stepped, 0.0, 1.25, 1.7, 1.95), [0.0, 0.0, 0.2, 0.1]
+    )
+
+  def test_past_the_end_there_is_ground_still(self) -> None:
+    stepped = terrain.with_step(_COURSE, np.array([8.9]), np.array([9.2]), 0.4)
+    used = np.isfinite(stepped.ends)
+    self.assertTrue(np.all(stepped.ends[used] > stepped.starts[used]))
+    self.assertGreaterEqual(stepped.ends[used].max(), 10.0)
+
+  def test_rejects_when_the_pool_is_used_up(self) -> None:
+    full = _terrain((-20, 1, 0), (1, 9, 0.4), num_segments=2)
+    with self.assertRaisesRegex(ValueError, 'only 2 segments'):
+      terrain.with_step(full, np.array([2.0]), np.array([2.3]), 0.4)
+
+
+class BoxesTest(parameterized.TestCase):
+  def test_by_hand(self) -> None:
+    centres, halves = terrain.boxes(_COURSE)
+    np.testing.assert_allclose(
+      centres[0, :3],
+      [[-9.5, 0, -0.5], [1.75, 0, -0.3], [5.5, 0, 0.1]],
+    )
+    np.testing.assert_allclose(
+      halves[0, :3], [[10.5, 4, 0.5], [0.25, 4, 0.5], [3.5, 4, 0.5]]
+    )
+
+  def test_unused_boxes_are_out_of_the_way(self) -> None:
+    centres, halves = terrain.boxes(_COURSE)
+    self.assertLess(centres[0, 3, 2], -50.0)
+    self.assertTrue(np.isfinite(centres).all())
+    self.assertTrue(np.all(halves > 0))
+
+
+if __name__ == '__main__':
+  absltest.main()

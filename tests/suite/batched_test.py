@@ -1,0 +1,401 @@
+"""Tests of dmc_multimode.suite.batched, most of all that it is the same task.
+
+Composer advances with mj_step2 and mj_step1, the batch with mj_step: in
+floating point that is one and the same. Positions and rewards were found equal
+bit for bit over every mode and arena, and observations up to their rounding to
+float32. The tolerances leave room for other processors' instructions, no more.
+"""
+
+import dataclasses
+from typing import Any, Callable
+
+from absl.testing import absltest
+from absl.testing import parameterized
+from dm_control import composer
+import dm_env
+import numpy as np
+
+from dmc_multimode.arenas import track
+from dmc_multimode.modes import codebook
+from dmc_multimode.modes import library
+from dmc_multimode.modes import reference
+from dmc_multimode.modes import schedule
+from dmc_multimode.suite import batched
+from dmc_multimode.suite import config
+from dmc_multimode.suite import episodes
+from dmc_multimode.suite import imitation
+from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite import observations
+from dmc_multimode.suite import rewards
+from dmc_multimode.suite import terminations
+
+_MOTIONS = tuple(library.modes().values())
+_BOOK = codebook.one_hot(_MOTIONS)
+_TOLERANCE = 1e-9
+_FLOAT32 = 1e-6  # Of the float32 observations, of which many are about 1.
+_STEPS = 30
+_SWITCHES = (0.0, 0.36, 0.66)  # Seconds.
+_GAINS = rewards.RewardGains(0.35, 0.35, 0.3)
+_ENDLESS = config.ImitationConfig(
+  gains=_GAINS,
+  limits=terminations.TerminationLimits(
+    distance=np.inf, reward=-1.0, height=-np.inf
+  ),
+)
+_ENDING = config.ImitationConfig(gains=_GAINS)
+
+
+def _schedule(first: int) -> schedule.ModeSchedule:
+  """A mode and two others: over all `first`, every mode is switched to."""
+  modes = (first + np.array([0, 4, 7])) % len(_MOTIONS)
+  return schedule.ModeSchedule(
+    modes[None], np.array([_SWITCHES]), np.array([1.0 + 0.05 * (first % 3)])
+  )
+
+
+def _task(
+  arena: str, task_config: config.ImitationConfig
+) -> imitation.Imitation:
+  return multimode_biped.make_task(
+    _MOTIONS,
+    _BOOK,
+    episodes.ScheduledEpisodes(_schedule(0)),
+    arena,
+    task_config,
+  )
+
+
+def _flat(time_step: dm_env.TimeStep) -> np.ndarray:
+  return np.concatenate(list(time_step.observation.values()))
+
+
+class ParityTest(parameterized.TestCase):
+  """One action sequence and one mode schedule, driven through both engines."""
+
+  def _drive(
+    self, env: composer.Environment, mode: int
+  ) -> tuple[int, list[int]]:
+    """Compares an episode; returns its length and the modes that ran."""
+    env.task.episodes = episodes.ScheduledEpisodes(_schedule(mode))
+    env.random_state.seed(mode)
+    worlds = batched.BatchedImitation(
+      env.task, 1, seed=mode, num_threads=1, auto_reset=False
+    )
+    time_step, observation = env.reset(), worlds.reset()
+    np.testing.assert_allclose(observation[0], _flat(time_step), atol=_FLOAT32)
+    stand, random = worlds.standing_action(), np.random.RandomState(mode)
+    ran = {mode}
+    for step in range(1, _STEPS + 1):
+      action = stand + random.uniform(-0.4, 0.4, 10)
+      time_step, other = env.step(action), worlds.step(action[None])
+      message = f'{_MOTIONS[mode].name}, step {step}'
+      np.testing.assert_allclose(
+        other.observation[0],
+        _flat(time_step),
+        rtol=_FLOAT32,
+        atol=_FLOAT32,
+        err_msg=message,
+      )
+      np.testing.assert_allclose(
+        other.reward[0], time_step.reward, atol=_TOLERANCE, err_msg=message
+      )
+      self.assertEqual(other.discount[0], time_step.discount, message)
+      self.assertEqual(other.last[0], time_step.last(), message)
+      for mine, theirs in zip(
+        env.task.core.terrain, worlds.core.terrain, strict=True
+      ):
+        np.testing.assert_allclose(mine, theirs, atol=_TOLERANCE)
+      ran.add(int(worlds.core.tracker.state.mode[0]))
+      if time_step.last():
+        cause = terminations.CAUSES[other.results.causes[0]]
+        self.assertEqual(cause, env.task.termination_cause)
+        break
+    np.testing.assert_allclose(
+      worlds.qpos[0], env.physics.data.qpos, atol=_TOLERANCE
+    )
+    return step, sorted(ran)
+
+  @parameterized.parameters(*track.LAYOUTS)
+  def test_every_mode(self, arena: str) -> None:
+    env = multimode_biped._environment(_task(arena, _ENDLESS), 0, None)
+    for mode in range(len(_MOTIONS)):
+      steps, ran = self._drive(env, mode)
+      self.assertEqual(steps, _STEPS)
+      self.assertLen(ran, 3)
+
+  @parameterized.parameters('flat', 'parkour')
+  def test_terminations(self, arena: str) -> None:
+    env = multimode_biped._environment(_task(arena, _ENDING), 0, None)
+    lengths = [self._drive(env, mode)[0] for mode in range(len(_MOTIONS))]
+    self.assertLess(np.median(lengths), _STEPS)  # Most of them end.
+
+  def test_time_limit(self) -> None:
+    task_config = dataclasses.replace(_ENDLESS, time_limit=0.45)
+    env = multimode_biped._environment(_task('flat', task_config), 0, None)
+    self.assertEqual(self._drive(env, 0)[0], 15)
+
+  def test_first_step_has_all_of_eq_2(self) -> None:
+    """dm_control resets without actuation; the damping must not be missing."""
+    task_config = dataclasses.replace(_ENDLESS, velocity_noise=3.0)
+    env = multimode_biped._environment(_task('flat', task_config), 0, None)
+    self._drive(env, 0)
+
+
+def _transitions(
+  task_config: config.ImitationConfig = _ENDING, modes: str = 'pi2'
+) -> imitation.Imitation:
+  """Algorithm 1 on flat ground."""
+  motions = library.resolve(modes)
+  return multimode_biped.make_task(
+    motions,
+    codebook.one_hot(motions),
+    episodes.TransitionEpisodes(reference.ReferenceBank(motions)),
+    config=task_config,
+  )
+
+
+def _rollout(
+  worlds: batched.BatchedImitation,
+  steps: int,
+  seed: int = 0,
+  spread: float = 0.4,
+) -> list[batched.BatchedTimeStep]:
+  random, stand = np.random.RandomState(seed), worlds.standing_action()
+  shape = (worlds.num_worlds, 10)
+  return [
+    worlds.step(stand + random.uniform(-spread, spread, shape))
+    for _ in range(steps)
+  ]
+
+
+def _assert_same(mine: Any, other: Any) -> None:
+  """Compares two lists of steps bit for bit."""
+  for one, two in zip(mine, other, strict=True):
+    for name in one._fields[:-1]:
+      np.testing.assert_array_equal(
+        getattr(one, name), getattr(two, name), err_msg=name
+      )
+    for a, b in zip(one.results, two.results, strict=True):
+      np.testing.assert_array_equal(a, b)
+
+
+class ManyWorldsTest(parameterized.TestCase):
+  def test_threads_change_nothing(self) -> None:
+    rollouts = []
+    for threads in (1, 2):
+      worlds = batched.BatchedImitation(
+        _transitions(), 16, seed=3, num_threads=threads
+      )
+      worlds.reset()
+      rollouts.append(_rollout(worlds, 60))
+    self.assertGreater(sum(step.last.sum() for step in rollouts[0]), 16)
+    _assert_same(*rollouts)
+
+  def test_one_seed_one_batch(self) -> None:
+    observed = [
+      batched.BatchedImitation(_transitions(), 4, seed, 1).reset()
+      for seed in (5, 5, 6)
+    ]
+    np.testing.assert_array_equal(observed[0], observed[1])
+    self.assertFalse(np.array_equal(observed[0], observed[2]))
+
+  def test_worlds_do_not_know_of_each_other(self) -> None:
+    """Each of several worlds runs as it would alone."""
+    count, steps = 5, 40
+    # Steps are placed with noise from a generator that worlds share.
+    task = _transitions(dataclasses.replace(_ENDLESS, edge_noise=0.0))
+    many = batched.BatchedImitation(task, count, 0, 2, auto_reset=False)
+    many.reset()
+    state = many.state()
+    random = np.random.RandomState(1)
+    actions = random.uniform(-0.5, 0.5, (steps, count, 10))
+    together = [many.step(action) for action in actions]
+    alone = batched.BatchedImitation(task, 1, 0, 1, auto_reset=False)
+    for world in range(count):
+      alone.restore(_one_world(state, world))
+      for step, action in zip(together, actions, strict=True):
+        single = alone.step(action[None, world])
+        np.testing.assert_array_equal(
+          single.observation[0], step.observation[world]
+        )
+        self.assertEqual(single.reward[0], step.reward[world])
+
+
+def _one_world(
+  state: dict[str, np.ndarray], world: int
+) -> dict[str, np.ndarray]:
+  """Cuts one world out of a saved state."""
+  return {
+    name: value
+    if name.startswith(('random/', 'episodes/')) or not value.ndim
+    else value[world : world + 1]
+    for name, value in state.items()
+  }
+
+
+class AutoResetTest(parameterized.TestCase):
+  def test_observations_at_the_seam(self) -> None:
+    """What is observed after an end is the next episode's beginning."""
+    worlds = batched.BatchedImitation(_transitions(), 8, 0, 2)
+    plain = batched.BatchedImitation(_transitions(), 8, 0, 2, auto_reset=False)
+    np.testing.assert_array_equal(worlds.reset(), plain.reset())
+    action = np.tile(worlds.standing_action(), (8, 1))
+    while True:
+      step, other = worlds.step(action), plain.step(action)
+      if step.last.any():
+        break
+      self.assertEmpty(step.final_observation)
+    ended = np.flatnonzero(step.last)
+    np.testing.assert_array_equal(step.results.worlds, ended)
+    np.testing.assert_array_equal(
+      step.final_observation, other.observation[ended]
+    )
+    on = ~step.last
+    np.testing.assert_array_equal(step.observation[on], other.observation[on])
+    now = observations.flatten(worlds.core.observe(worlds.qpos, worlds.qvel))
+    np.testing.assert_array_equal(step.observation, now)
+    np.testing.assert_array_equal(
+      worlds.core.tracker.state.step[ended], np.zeros(len(ended))
+    )
+    self.assertFalse(
+      np.array_equal(step.observation[ended], step.final_observation)
+    )
+
+  def test_results(self) -> None:
+    """Returns are sums of rewards over horizon times the weights' sum."""
+    gains = rewards.RewardGains(0.2, 0.3, 0.1)
+    task_config = config.ImitationConfig(
+      gains=gains,
+      time_limit=0.9,
+      limits=terminations.TerminationLimits(distance=0.5, reward=0.15),
+    )
+    worlds = batched.BatchedImitation(_transitions(task_config), 8, 0, 2)
+    worlds.reset()
+    totals, lengths = np.zeros(8), np.zeros(8, dtype=int)
+    modes = worlds.core.tracker.state.mode.copy()
+    causes: list[int] = []
+    random, stand = np.random.RandomState(0), worlds.standing_action()
+    for _ in range(100):
+      step = worlds.step(stand + random.uniform(-0.1, 0.1, (8, 10)))
+      totals += step.reward
+      lengths += 1
+      ended, results = np.flatnonzero(step.last), step.results
+      np.testing.assert_array_equal(results.worlds, ended)
+      np.testing.assert_array_equal(results.initial, modes[ended])
+      np.testing.assert_array_equal(results.lengths, lengths[ended])
+      np.testing.assert_allclose(results.returns, totals[ended] / (30 * 0.6))
+      timeout = results.causes == 0
+      np.testing.assert_array_equal(results.lengths[timeout], 30)
+      np.testing.assert_array_equal(step.discount[ended], timeout)
+      totals[ended], lengths[ended] = 0.0, 0
+      modes[ended] = worlds.core.tracker.state.mode[ended]
+      causes += results.causes.tolist()
+    self.assertIn(0, causes)
+    self.assertGreater(len(set(causes)), 1)
+
+  def test_sampler_learns_from_results(self) -> None:
+    worlds = batched.BatchedImitation(_transitions(), 8, 0, 2)
+    worlds.reset()
+    sampler = worlds.episodes.sampler  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(sampler.initial_returns, np.zeros(4))
+    _rollout(worlds, 60)
+    self.assertGreater(sampler.initial_returns.max(), 0.0)
+
+  def test_without_it_only_the_first_end_counts(self) -> None:
+    worlds = batched.BatchedImitation(
+      _transitions(dataclasses.replace(_ENDING, time_limit=0.6)),
+      4,
+      0,
+      1,
+      auto_reset=False,
+    )
+    worlds.reset()
+    steps = _rollout(worlds, 30)
+    ends = np.sum([step.last for step in steps], axis=0)
+    np.testing.assert_array_equal(ends, np.ones(4))
+
+
+class StateTest(parameterized.TestCase):
+  def test_restored_worlds_go_on_bit_for_bit(self) -> None:
+    worlds = batched.BatchedImitation(_transitions(), 8, 0, 2)
+    worlds.reset()
+    _rollout(worlds, 25)
+    state = worlds.state()
+    copies = {name: value.copy() for name, value in state.items()}
+    first = _rollout(worlds, 50, seed=1)
+    for name, value in state.items():
+      np.testing.assert_array_equal(value, copies[name], err_msg=name)
+    other = batched.BatchedImitation(_transitions(), 8, 99, 1)
+    other.reset()
+    observation = other.restore(state)
+    second = _rollout(other, 50, seed=1)
+    self.assertGreater(sum(step.last.sum() for step in first), 8)
+    _assert_same(first, second)
+    np.testing.assert_array_equal(worlds.restore(state), observation)
+    _assert_same(first, _rollout(worlds, 50, seed=1))
+
+  def test_rejects_another_number_of_worlds(self) -> None:
+    state = batched.BatchedImitation(_transitions(), 3, 0, 1).state()
+    with self.assertRaisesRegex(ValueError, 'same number of worlds'):
+      batched.BatchedImitation(_transitions(), 4, 0, 1).restore(state)
+
+
+class DivergenceTest(parameterized.TestCase):
+  """A world that becomes NaN ends, begins anew, and harms no other."""
+
+  def _poison_position(self, worlds: batched.BatchedImitation) -> None:
+    worlds.qpos[2, 0] = np.nan
+
+  def _poison_velocity(self, worlds: batched.BatchedImitation) -> None:
+    worlds.qvel[2, 8] = np.inf
+
+  @parameterized.parameters('_poison_position', '_poison_velocity')
+  def test_it_is_invalid(self, poison: str) -> None:
+    sick, healthy = (
+      batched.BatchedImitation(_transitions(), 5, 0, 2) for _ in range(2)
+    )
+    sick.reset()
+    healthy.reset()
+    apply: Callable[[batched.BatchedImitation], None] = getattr(self, poison)
+    apply(sick)
+    action = np.tile(sick.standing_action(), (5, 1))
+    step, other = sick.step(action), healthy.step(action)
+    self.assertEqual(terminations.CAUSES[step.results.causes[0]], 'invalid')
+    np.testing.assert_array_equal(step.results.worlds, [2])
+    np.testing.assert_array_equal(step.last, [False, False, True, False, False])
+    np.testing.assert_array_equal(step.discount, [1, 1, 0, 1, 1])
+    self.assertEqual(step.reward[2], 0.0)
+    self.assertTrue(np.isfinite(step.observation).all())
+    self.assertTrue(np.isfinite(step.final_observation).all())
+    others = [0, 1, 3, 4]
+    for name in ('reward', 'observation', 'discount'):
+      np.testing.assert_array_equal(
+        getattr(step, name)[others], getattr(other, name)[others]
+      )
+    for _ in range(5):  # And it lives.
+      step = sick.step(action)
+      self.assertTrue(np.isfinite(step.observation).all())
+      self.assertGreater(step.reward[2], 0.0)
+
+
+class SpecTest(parameterized.TestCase):
+  def test_specs(self) -> None:
+    worlds = batched.BatchedImitation(_transitions(), 3, 0, 1)
+    self.assertEqual(worlds.observation_spec().shape, (37,))
+    self.assertEqual(worlds.reset().shape, (3, 37))
+    self.assertEqual(worlds.action_spec().shape, (10,))
+    self.assertEqual(worlds.control_timestep, 0.03)
+
+  def test_actions_are_clipped_and_left_alone(self) -> None:
+    worlds = batched.BatchedImitation(_transitions(), 2, 0, 1)
+    worlds.reset()
+    actions = np.full((2, 10), 50.0)
+    worlds.step(actions)
+    np.testing.assert_array_equal(actions, np.full((2, 10), 50.0))
+    np.testing.assert_allclose(
+      worlds.batch.bind('ctrl'), np.full((2, 10), np.pi), atol=1e-5
+    )
+
+
+if __name__ == '__main__':
+  absltest.main()

@@ -1,0 +1,83 @@
+"""Tests of dmc_multimode.suite.config."""
+
+import json
+from typing import Any
+
+from absl.testing import absltest
+from absl.testing import parameterized
+
+from dmc_multimode.suite import config
+from dmc_multimode.suite import rewards
+from dmc_multimode.suite import terminations
+
+
+class ImitationConfigTest(parameterized.TestCase):
+  def test_defaults(self) -> None:
+    values = config.ImitationConfig()
+    self.assertEqual(values.substeps, 6)
+    self.assertEqual(values.horizon, 150)
+
+  def test_one_millisecond(self) -> None:
+    values = config.ImitationConfig(physics_timestep=0.001)
+    self.assertEqual(values.substeps, 30)
+
+  @parameterized.parameters(
+    ({'time_limit': 0.0}, 'time_limit'),
+    ({'time_limit': float('inf')}, 'time_limit'),
+    ({'control_timestep': -0.03}, 'control_timestep'),
+    ({'physics_timestep': float('nan')}, 'physics_timestep'),
+    ({'physics_timestep': 0.004}, 'divide'),
+    ({'physics_timestep': 0.06}, 'divide'),
+    ({'reference_starts': 1.5}, 'share'),
+  )
+  def test_rejects(self, values: dict[str, float], message: str) -> None:
+    with self.assertRaisesRegex(ValueError, message):
+      config.ImitationConfig(**values)  # type: ignore[arg-type]
+
+  def test_for_evaluation(self) -> None:
+    values = config.for_evaluation(
+      config.ImitationConfig(time_limit=3.0, tighten_steps=100)
+    )
+    self.assertEqual(values.reference_starts, 0.0)
+    self.assertEqual(values.edge_noise, 0.0)
+    self.assertEqual(values.distance_after(0), values.limits.distance)
+    self.assertEqual(values.time_limit, 3.0)
+
+  @parameterized.parameters((0, 0.8), (50, 0.6), (100, 0.4), (1000, 0.4))
+  def test_bound_on_the_distance_tightens(
+    self, steps: int, expected: float
+  ) -> None:
+    values = config.ImitationConfig(
+      limits=terminations.TerminationLimits(distance=0.4),
+      early_distance=0.8,
+      tighten_steps=100,
+    )
+    self.assertAlmostEqual(values.distance_after(steps), expected)
+
+  def test_json_round_trip(self) -> None:
+    values = config.ImitationConfig(
+      gains=rewards.RewardGains(0.35, 0.35, 0.3),
+      limits=terminations.TerminationLimits(distance=0.25),
+      time_limit=3.0,
+      joint_noise=0.01,
+    )
+    text = json.dumps(config.to_dict(values))
+    self.assertEqual(config.from_dict(json.loads(text)), values)
+
+  @parameterized.parameters(
+    {'remove': 'gains'},
+    {'unknown': 1.0},
+    {'gains': {'weight': 1.0}},
+    {'limits': 3},
+    {'time_limit': 'long'},
+    {'time_limit': -1.0},
+  )
+  def test_from_dict_rejects(self, **changes: Any) -> None:
+    values = {**config.to_dict(config.ImitationConfig()), **changes}
+    values.pop(values.pop('remove', ''), None)
+    with self.assertRaises(ValueError):
+      config.from_dict(values)
+
+
+if __name__ == '__main__':
+  absltest.main()

@@ -1,0 +1,100 @@
+"""Tests of dmc_multimode.suite.episodes."""
+
+from absl.testing import absltest
+from absl.testing import parameterized
+import numpy as np
+
+from dmc_multimode.modes import library
+from dmc_multimode.modes import reference
+from dmc_multimode.modes import schedule
+from dmc_multimode.suite import episodes
+
+
+def _bank() -> reference.ReferenceBank:
+  return reference.ReferenceBank(library.resolve('pi2'))
+
+
+class TransitionEpisodesTest(parameterized.TestCase):
+  def test_switch_times(self) -> None:
+    bank = _bank()
+    drawn = episodes.TransitionEpisodes(bank).sample(
+      np.arange(500), np.random.RandomState(0)
+    )
+    modes, starts = drawn.schedule.modes, drawn.schedule.starts
+    np.testing.assert_array_equal(modes[:, 0], drawn.initial)
+    np.testing.assert_array_equal(modes[:, 1], drawn.final)
+    cycles = starts[:, 1] / bank.durations[drawn.initial]
+    launch = bank.index('launch')
+    level = drawn.initial != launch
+    self.assertEqual(
+      set(np.round(cycles[level], 6)), {0.25, 0.5, 0.75, 1.25, 1.5, 1.75}
+    )
+    # Launch is not left before its take-off.
+    self.assertEqual(
+      set(np.round(cycles[~level], 6)), {0.42, 0.5, 0.75, 1.25, 1.5, 1.75}
+    )
+    pairs = set(zip(drawn.initial, drawn.final, strict=True))
+    self.assertLen(pairs, len(bank) ** 2)
+
+  def test_one_seed_one_draw(self) -> None:
+    initialiser = episodes.TransitionEpisodes(_bank())
+    first, second = (
+      initialiser.sample(np.arange(20), np.random.RandomState(3)).schedule
+      for _ in range(2)
+    )
+    np.testing.assert_array_equal(first.modes, second.modes)
+    np.testing.assert_array_equal(first.starts, second.starts)
+
+  def test_learns_and_restores(self) -> None:
+    bank = _bank()
+    taught, other = (episodes.TransitionEpisodes(bank) for _ in range(2))
+    uniform = other.probabilities()
+    self.assertAlmostEqual(uniform['p/idle'], 0.25)
+    self.assertAlmostEqual(uniform['p/idle->launch'], 0.25)
+    self.assertLen(uniform, 4 + 16)
+    taught.update(np.array([0]), np.array([3]), np.array([0.9]))
+    self.assertLess(taught.probabilities()['p/idle'], 0.25)
+    self.assertLess(taught.probabilities()['p/idle->launch'], 0.25)
+    other.restore(taught.state())
+    self.assertEqual(other.probabilities(), taught.probabilities())
+
+
+class ScheduledEpisodesTest(parameterized.TestCase):
+  def test_one_schedule_for_all(self) -> None:
+    plan = schedule.from_knots(np.array([[2, 1, 3]]), 0.5, clock_rate=1.2)
+    initialiser = episodes.ScheduledEpisodes(plan)
+    self.assertEqual(initialiser.max_knots, 3)
+    drawn = initialiser.sample(np.array([4, 9]), np.random.RandomState(0))
+    np.testing.assert_array_equal(drawn.schedule.modes, [[2, 1, 3]] * 2)
+    np.testing.assert_array_equal(drawn.schedule.clock_rate, [1.2, 1.2])
+    np.testing.assert_array_equal(drawn.initial, [2, 2])
+    np.testing.assert_array_equal(drawn.final, [3, 3])
+
+  def test_a_schedule_a_world(self) -> None:
+    plan = schedule.ModeSchedule(
+      np.array([[0, 1], [1, 2], [2, 0]]),
+      np.array([[0.0, 1.0], [0.0, np.inf], [0.0, 2.0]]),
+      np.array([1.0, 1.1, 1.2]),
+    )
+    initialiser = episodes.ScheduledEpisodes(plan)
+    drawn = initialiser.sample(np.array([2, 1]), np.random.RandomState(0))
+    np.testing.assert_array_equal(drawn.schedule.modes, [[2, 0], [1, 2]])
+    np.testing.assert_array_equal(drawn.schedule.clock_rate, [1.2, 1.1])
+    np.testing.assert_array_equal(drawn.initial, [2, 1])
+    np.testing.assert_array_equal(drawn.final, [0, 1])  # Unused columns: no.
+
+  def test_draws_nothing_and_learns_nothing(self) -> None:
+    initialiser = episodes.ScheduledEpisodes(schedule.single(np.array([0])))
+    random_state = np.random.RandomState(0)
+    initialiser.sample(np.arange(3), random_state)
+    self.assertEqual(
+      random_state.randint(1 << 30),
+      np.random.RandomState(0).randint(1 << 30),
+    )
+    initialiser.update(np.zeros(1), np.zeros(1), np.ones(1))
+    self.assertEqual(initialiser.probabilities(), {})
+    initialiser.restore(initialiser.state())
+
+
+if __name__ == '__main__':
+  absltest.main()

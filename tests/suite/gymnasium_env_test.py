@@ -1,0 +1,203 @@
+"""Tests of dmc_multimode.suite.gymnasium_env."""
+
+import importlib
+import sys
+from typing import Any
+from unittest import mock
+import warnings
+
+from absl.testing import absltest
+from absl.testing import parameterized
+import numpy as np
+import pytest
+
+from dmc_multimode import suite
+from dmc_multimode.suite import mini_biped
+from dmc_multimode.suite import observations
+
+gymnasium = pytest.importorskip(
+  'gymnasium', reason='Gymnasium is not installed: the extra `gym`.'
+)
+gymnasium_env = importlib.import_module('dmc_multimode.suite.gymnasium_env')
+env_checker = importlib.import_module('gymnasium.utils.env_checker')
+
+# Joint targets are in radians and what robots do has no bounds: both advised
+# against, and meant. Rendering is tested on its own.
+_EXPECTED_WARNINGS = (
+  'Box observation space minimum value is -infinity',
+  'Box observation space maximum value is infinity',
+  'we recommend using a symmetric and normalized space',
+)
+
+
+def _make(task: str = 'walk_forward', **kwargs: Any) -> Any:
+  return gymnasium.make(gymnasium_env.environment_id(task), **kwargs)
+
+
+def _standing(env: Any) -> np.ndarray:
+  model = env.unwrapped._environment.physics.model.ptr
+  return mini_biped.standing_action(model).astype(np.float32)
+
+
+def _run(
+  env: Any, seed: int | None, steps: int
+) -> tuple[list[np.ndarray], list[float], list[str]]:
+  """Observations, rewards and modes under random actions."""
+  random_state = np.random.RandomState(0)
+  standing = _standing(env)
+  observation, info = env.reset(seed=seed)
+  seen, rewards, modes = [observation], [], [info['mode']]
+  for _ in range(steps):
+    noise = 0.3 * random_state.standard_normal(10).astype(np.float32)
+    observation, reward, terminated, truncated, info = env.step(
+      standing + noise
+    )
+    rewards.append(reward)
+    if terminated or truncated:
+      observation, info = env.reset()
+    seen.append(observation)
+    modes.append(info['mode'])
+  return seen, rewards, modes
+
+
+class RegistryTest(parameterized.TestCase):
+  def test_every_task_is_registered(self) -> None:
+    for _, task in suite.ALL_TASKS:
+      self.assertIn(f'dmc_multimode/{task}-v0', gymnasium.registry)
+
+  def test_registering_again_is_harmless(self) -> None:
+    before = dict(gymnasium.registry)
+    with warnings.catch_warnings():
+      warnings.simplefilter('error')
+      gymnasium_env.register()
+    self.assertEqual(dict(gymnasium.registry), before)
+
+  def test_without_gymnasium_one_line_says_what_to_install(self) -> None:
+    name = gymnasium_env.__name__
+    with mock.patch.dict(sys.modules, {'gymnasium': None}):
+      del sys.modules[name]
+      with self.assertRaises(ModuleNotFoundError) as caught:
+        importlib.import_module(name)
+    self.assertEqual(
+      str(caught.exception),
+      'Gymnasium is not installed: pip install dmc_multimode[gym]',
+    )
+
+
+class InterfaceTest(parameterized.TestCase):
+  @parameterized.parameters(task for _, task in suite.ALL_TASKS)
+  def test_gymnasiums_own_check(self, task: str) -> None:
+    env = _make(task)
+    with warnings.catch_warnings(record=True) as caught:
+      warnings.simplefilter('always')
+      env_checker.check_env(env.unwrapped, skip_render_check=True)
+    env.close()
+    surprises = [
+      str(warning.message)
+      for warning in caught
+      if 'gymnasium' in warning.filename
+      and not any(text in str(warning.message) for text in _EXPECTED_WARNINGS)
+    ]
+    self.assertEmpty(surprises)
+
+  def test_observation_is_the_suites_in_the_order_of_the_layout(self) -> None:
+    environment = suite.load('multimode_biped', 'pi2', {'random': 1})
+    env = gymnasium_env.GymnasiumEnv(environment)
+    observation, _ = env.reset()
+    twin = suite.load('multimode_biped', 'pi2', {'random': 1}).reset()
+    expected = np.concatenate(
+      [twin.observation[name] for name, _ in observations.layout(4)]
+    )
+    np.testing.assert_array_equal(observation, expected.astype(np.float32))
+    self.assertEqual(env.observation_space.shape, (37,))
+    self.assertEqual(env.action_space.dtype, np.float32)
+
+  def test_fall_terminates_and_time_limit_truncates(self) -> None:
+    env = _make('idle', time_limit=0.3)
+    env.reset(seed=0)
+    standing = _standing(env)
+    ends = [env.step(standing)[2:4] for _ in range(10)]
+    self.assertEqual(ends, [(False, False)] * 9 + [(False, True)])
+    env.reset()
+    limp = np.full(10, 3.0, dtype=np.float32)
+    for _ in range(10):
+      terminated, truncated = env.step(limp)[2:4]
+      if terminated:
+        break
+    self.assertEqual((terminated, truncated), (True, False))
+
+  def test_step_needs_a_running_episode(self) -> None:
+    env = gymnasium_env.make('idle', time_limit=0.03)
+    action = np.zeros(10, dtype=np.float32)
+    with self.assertRaises(gymnasium.error.ResetNeeded):
+      env.step(action)
+    env.reset()
+    env.step(action)
+    with self.assertRaises(gymnasium.error.ResetNeeded):
+      env.step(action)
+
+  def test_close_twice(self) -> None:
+    env = gymnasium_env.make('idle')
+    env.reset()
+    env.close()
+    env.close()
+
+
+class SeedingTest(parameterized.TestCase):
+  # Of pi2, where a sampler learns: equal seeds start it anew.
+  def test_equal_seeds_lead_to_equal_episodes(self) -> None:
+    env = _make('pi2')
+    first = _run(env, 7, 60)
+    _run(env, None, 25)  # Ends in mid-episode.
+    second = _run(env, 7, 60)
+    np.testing.assert_array_equal(first[0], second[0])
+    self.assertEqual(first[1:], second[1:])
+    self.assertEqual(first[2], _run(_make('pi2'), 7, 60)[2])
+
+  @parameterized.parameters(8, 2**40, None)
+  def test_other_seeds_lead_to_other_episodes(self, seed: int | None) -> None:
+    env = _make('walk_forward')
+    first, _ = env.reset(seed=7)
+    second, _ = env.reset(seed=seed)
+    self.assertFalse(np.array_equal(first, second))
+
+
+class RenderTest(parameterized.TestCase):
+  def test_frame(self) -> None:
+    env = _make('idle', render_mode='rgb_array', width=64, height=48)
+    self.assertEqual(env.metadata['render_fps'], 33)
+    env.reset(seed=0)
+    try:
+      frame = env.render()
+    except Exception as error:  # Of whichever backend is there, or is not.
+      self.skipTest(f'This machine cannot render: {error}')
+    self.assertEqual((frame.shape, frame.dtype), ((48, 64, 3), np.uint8))
+    self.assertGreater(frame.std(), 5.0)
+
+  def test_no_frame_without_a_render_mode(self) -> None:
+    env = gymnasium_env.make('idle')
+    env.reset()
+    self.assertIsNone(env.render())
+
+  def test_unknown_render_mode(self) -> None:
+    with self.assertRaisesRegex(ValueError, 'render mode'):
+      gymnasium_env.make('idle', render_mode='human')
+
+
+class VectorTest(parameterized.TestCase):
+  def test_processes(self) -> None:
+    name = gymnasium_env.environment_id('walk_forward')
+    envs = gymnasium.make_vec(name, 2, 'async')
+    try:
+      observation, _ = envs.reset(seed=3)
+      again, _ = envs.reset(seed=3)
+      np.testing.assert_array_equal(observation, again)
+      self.assertFalse(np.array_equal(observation[0], observation[1]))
+      _, rewards, *_ = envs.step(np.zeros((2, 10), dtype=np.float32))
+      self.assertTrue(np.all((rewards >= 0) & (rewards <= 1)))
+    finally:
+      envs.close()
+
+
+if __name__ == '__main__':
+  absltest.main()

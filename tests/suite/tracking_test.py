@@ -1,0 +1,243 @@
+"""Tests of dmc_multimode.suite.tracking."""
+
+from absl.testing import absltest
+from absl.testing import parameterized
+import numpy as np
+
+from dmc_multimode.modes import codebook
+from dmc_multimode.modes import library
+from dmc_multimode.modes import reference
+from dmc_multimode.modes import schedule
+from dmc_multimode.suite import tracking
+
+_TIMESTEP = 0.25  # Seconds; exact in binary, as are all durations here.
+_GO, _STAND, _JUMP, _TURN = range(4)
+_FIRST = np.array([0])
+
+
+def _motion(
+  name: str,
+  kind: str,
+  end: tuple[float, float, float],
+  yaw: float = 0.0,
+) -> reference.ReferenceMotion:
+  """One second from (0, 0, 0.5) to `end`, turning by `yaw` radians."""
+  half = yaw / 2
+  return reference.ReferenceMotion(
+    name=name,
+    kind=kind,
+    duration=1.0,
+    phases=np.array([0.0, 1.0]),
+    positions=np.array([[0.0, 0.0, 0.5], end]),
+    orientations=np.array(
+      [[1.0, 0.0, 0.0, 0.0], [np.cos(half), 0.0, 0.0, np.sin(half)]]
+    ),
+  )
+
+
+_MOTIONS = (
+  _motion('go', reference.PERIODIC, (2.0, 0.0, 0.5)),
+  _motion('stand', reference.STEADY, (0.0, 0.0, 0.5)),
+  _motion('jump', reference.TRANSIENT, (1.0, 0.0, 0.9)),
+  _motion('turn', reference.PERIODIC, (1.0, 0.0, 0.5), yaw=np.pi / 2),
+)
+
+
+def _tracker(num_worlds: int = 1, max_knots: int = 3) -> tracking.ModeTracker:
+  return tracking.ModeTracker(
+    _MOTIONS, codebook.one_hot(_MOTIONS), _TIMESTEP, num_worlds, max_knots
+  )
+
+
+def _started(
+  modes: list[int],
+  starts: list[float] | None = None,
+  phase: float = 0.0,
+  support: float = 0.0,
+  clock_rate: float = 1.0,
+) -> tracking.ModeTracker:
+  """One world that has just been reset to a schedule."""
+  tracker = _tracker()
+  plan = schedule.ModeSchedule(
+    np.array([modes]), np.array([starts or [0.0]]), np.array([clock_rate])
+  )
+  tracker.reset(_FIRST, plan, np.array([phase]), np.array([support]))
+  return tracker
+
+
+class ClockTest(parameterized.TestCase):
+  def test_phase_runs_with_the_duration(self) -> None:
+    tracker = _started([_GO])
+    phases = []
+    for _ in range(5):
+      tracker.advance()
+      phases.append(tracker.state.phase[0])
+    self.assertEqual(phases, [0.25, 0.5, 0.75, 0.0, 0.25])
+
+  @parameterized.parameters((0.5, 0.125), (2.0, 0.5))
+  def test_clock_rate(self, rate: float, expected: float) -> None:
+    tracker = _started([_GO], clock_rate=rate)
+    tracker.advance()
+    self.assertEqual(tracker.state.phase[0], expected)
+
+  def test_periodic_mode_goes_on_where_its_cycle_ended(self) -> None:
+    tracker = _started([_GO], support=0.3)
+    positions = []
+    for _ in range(9):
+      positions.append(tracker.reference().position[0])
+      tracker.advance()
+    expected = np.column_stack(
+      [np.arange(9) * 0.5, np.zeros(9), np.full(9, 0.8)]
+    )
+    np.testing.assert_allclose(positions, expected, atol=1e-12)
+
+  def test_steady_mode_wraps_its_clock_alone(self) -> None:
+    tracker = _started([_STAND])
+    for _ in range(6):
+      tracker.advance()
+    self.assertEqual(tracker.state.phase[0], 0.5)
+    np.testing.assert_array_equal(tracker.state.anchor, np.zeros((1, 3)))
+
+  def test_transient_mode_holds_its_end(self) -> None:
+    tracker = _started([_JUMP])
+    for _ in range(9):
+      tracker.advance()
+    self.assertEqual(tracker.state.phase[0], 1.0)
+    np.testing.assert_allclose(tracker.reference().position, [[1.0, 0.0, 0.9]])
+
+  def test_turning_mode_bends_its_path(self) -> None:
+    tracker = _started([_TURN])
+    for _ in range(4):
+      tracker.advance()
+    np.testing.assert_allclose(tracker.state.heading, [np.pi / 2])
+    for _ in range(4):
+      tracker.advance()
+    # One metre along x, then one along y.
+    np.testing.assert_allclose(
+      tracker.reference().position, [[1.0, 1.0, 0.5]], atol=1e-12
+    )
+
+
+class CommandTest(parameterized.TestCase):
+  def _run(self, tracker: tracking.ModeTracker, steps: int) -> list[int]:
+    """Steps with the robot at (5, 6, 0.4) on a support of 0.2; new modes."""
+    taken = []
+    for _ in range(steps):
+      tracker.advance()
+      ids, modes = tracker.due()
+      taken += modes.tolist()
+      tracker.command(
+        ids, modes, np.tile([5.0, 6.0, 0.4], (len(ids), 1)), 0.2 + 0.0 * ids
+      )
+    return taken
+
+  def test_reference_is_anchored_where_the_robot_is(self) -> None:
+    tracker = _started([_GO, _JUMP], [0.0, 0.75])
+    self.assertEqual(self._run(tracker, 2), [])
+    np.testing.assert_allclose(tracker.reference().position, [[1.0, 0.0, 0.5]])
+    self.assertEqual(self._run(tracker, 1), [_JUMP])
+    self.assertEqual(tracker.state.phase[0], 0.0)
+    np.testing.assert_allclose(tracker.reference().position, [[5.0, 6.0, 0.7]])
+
+  def test_equal_command_lets_the_mode_continue(self) -> None:
+    tracker = _started([_GO, _GO, _STAND], [0.0, 0.5, 1.5])
+    self.assertEqual(self._run(tracker, 5), [])
+    self.assertEqual(tracker.state.phase[0], 0.25)
+    np.testing.assert_allclose(tracker.reference().position, [[2.5, 0.0, 0.5]])
+    self.assertEqual(self._run(tracker, 1), [_STAND])
+
+  def test_last_command_stays_in_force(self) -> None:
+    tracker = _started([_GO, _STAND], [0.0, 0.25])
+    self.assertEqual(self._run(tracker, 20), [_STAND])
+
+  def test_heading_is_the_commanded_one(self) -> None:
+    tracker = _started([_TURN, _GO], [0.0, 0.5])
+    self._run(tracker, 2)
+    # Half a cycle of a quarter turn.
+    np.testing.assert_allclose(tracker.state.heading, [np.pi / 4])
+    self._run(tracker, 1)
+    step = 0.5 * np.sqrt(0.5)
+    np.testing.assert_allclose(
+      tracker.reference().position, [[5.0 + step, 6.0 + step, 0.7]]
+    )
+
+  def test_latents_follow_the_mode(self) -> None:
+    tracker = _started([_GO, _JUMP], [0.0, 0.25])
+    np.testing.assert_array_equal(tracker.commands(), [[1, 0, 0, 0]])
+    self._run(tracker, 1)
+    np.testing.assert_array_equal(tracker.commands(), [[0, 0, 1, 0]])
+
+  def test_launch_is_left_only_after_its_take_off(self) -> None:
+    motions = library.resolve('pi2')
+    bank = reference.ReferenceBank(motions)
+    launch, count = bank.index('launch'), len(schedule.SWITCH_PHASES)
+    plan = schedule.transitions(
+      bank,
+      np.full(count, launch),
+      np.zeros(count, dtype=np.int64),
+      np.zeros(count),
+      np.array(schedule.SWITCH_PHASES),
+    )
+    tracker = tracking.ModeTracker(
+      motions, codebook.one_hot(motions), 0.03, count, 2
+    )
+    tracker.reset(np.arange(count), plan, np.zeros(count), np.zeros(count))
+    left = np.full(count, np.nan)
+    for _ in range(40):
+      tracker.advance()
+      ids, modes = tracker.due()
+      left[ids] = tracker.state.phase[ids]
+      tracker.command(ids, modes, np.zeros((len(ids), 3)), 0.0 * ids)
+    # To half a control step of the times asked for.
+    half = 0.5 * 0.03 / bank.durations[launch] + 1e-9
+    self.assertTrue(np.all(left >= bank.takeoffs[launch] - half))
+    np.testing.assert_allclose(left, [0.42, 0.5, 0.75], atol=half)
+
+
+class ResetTest(parameterized.TestCase):
+  def test_worlds_are_independent(self) -> None:
+    tracker = _tracker(num_worlds=3)
+    tracker.reset(
+      np.arange(3),
+      schedule.single(np.array([_GO, _STAND, _JUMP])),
+      np.array([0.0, 0.25, 0.5]),
+      np.array([0.0, 0.1, 0.2]),
+    )
+    tracker.advance()
+    np.testing.assert_array_equal(tracker.state.phase, [0.25, 0.5, 0.75])
+    plan = schedule.single(np.array([_JUMP]))
+    tracker.reset(np.array([1]), plan, np.zeros(1), np.array([0.7]))
+    np.testing.assert_array_equal(tracker.state.mode, [_GO, _JUMP, _JUMP])
+    np.testing.assert_array_equal(tracker.state.phase, [0.25, 0.0, 0.75])
+    np.testing.assert_array_equal(tracker.state.step, [1, 0, 1])
+    np.testing.assert_array_equal(tracker.state.anchor[:, 2], [0, 0.7, 0.2])
+
+  def test_shorter_schedule_forgets_the_longer_one(self) -> None:
+    tracker = _started([_GO, _STAND, _JUMP], [0.0, 0.25, 0.5])
+    plan = schedule.single(np.array([_GO]))
+    tracker.reset(_FIRST, plan, np.zeros(1), np.zeros(1))
+    for _ in range(5):
+      tracker.advance()
+      self.assertEmpty(tracker.due()[0])
+
+  def test_start_pose_is_the_reference_with_its_velocity(self) -> None:
+    tracker = _started([_GO], phase=0.5, support=0.2, clock_rate=1.5)
+    position, orientation, velocity = tracker.start_pose(_FIRST)
+    np.testing.assert_allclose(position, [[1.0, 0.0, 0.7]])
+    np.testing.assert_allclose(orientation, [[1.0, 0.0, 0.0, 0.0]])
+    np.testing.assert_allclose(velocity, [[3.0, 0.0, 0.0]])
+
+  def test_rejects_a_schedule_too_long(self) -> None:
+    tracker = _tracker(max_knots=2)
+    plan = schedule.from_knots(np.array([[_GO, _STAND, _GO]]), 0.5)
+    with self.assertRaisesRegex(ValueError, 'max_knots'):
+      tracker.reset(_FIRST, plan, np.zeros(1), np.zeros(1))
+
+  def test_rejects_a_codebook_of_other_modes(self) -> None:
+    other = codebook.one_hot(_MOTIONS[::-1])
+    with self.assertRaisesRegex(ValueError, 'codebook encodes'):
+      tracking.ModeTracker(_MOTIONS, other, _TIMESTEP, 1, 1)
+
+
+if __name__ == '__main__':
+  absltest.main()
