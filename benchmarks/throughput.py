@@ -1,0 +1,393 @@
+"""Control steps per second: raw physics, the two engines, the whole PPO loop.
+
+    python -m benchmarks.throughput --modes=pi2 --out=throughput.json
+
+Everything is measured in turns, round after round, and compared with the raw
+physics of the same round: noise of the machine hits all alike. Raw physics
+steps the very states and controls that BatchedImitation steps right after it.
+All act at random around standing; PPO learns with flags/quickstart.flags.
+"""
+
+import contextlib
+import cProfile
+import functools
+import importlib.metadata
+import json
+import os
+import pathlib
+import platform
+import pstats
+import sys
+import time
+from typing import Any, Callable, Mapping, Protocol, Sequence
+
+from absl import flags
+from dm_control import composer
+import mujoco
+from mujoco import batch as mujoco_batch
+import numpy as np
+import tqdm
+
+import dmc_multimode
+from dmc_multimode import resources
+from dmc_multimode.agents import checkpointing
+from dmc_multimode.agents import loggers
+from dmc_multimode.agents import training
+from dmc_multimode.bin import app
+from dmc_multimode.bin import config_flags
+from dmc_multimode.bin import run_setup
+from dmc_multimode.modes import library
+from dmc_multimode.suite import config as task_config
+from dmc_multimode.suite import multimode_biped
+
+_CORES = len(os.sched_getaffinity(0))
+_MODES = flags.DEFINE_string('modes', 'pi2', 'A mode set, or modes.')
+_NUM_WORLDS = flags.DEFINE_integer(
+  'num_worlds', 512, 'Worlds that are stepped together.', lower_bound=1
+)
+_THREADS = flags.DEFINE_integer(
+  'threads', _CORES, 'Threads of physics and torch, processes of Gymnasium.', 1
+)
+_ROUNDS = flags.DEFINE_integer('rounds', 5, 'Medians are over these.', 1)
+_SECONDS = flags.DEFINE_float(
+  'seconds', 3.0, 'Of each measurement in a round.', lower_bound=0.01
+)
+_SEED = flags.DEFINE_integer('seed', 0, 'Of actions and episodes.', 0)
+_OUT = flags.DEFINE_string('out', None, 'JSON file to write.')
+_PROFILE = flags.DEFINE_bool(
+  'profile', False, 'Show where the time of BatchedImitation goes instead.'
+)
+_PARTS = ('ppo', 'sampling', 'task')
+for _part in _PARTS:
+  config_flags.define(getattr(run_setup.RunConfig(), _part), _part)
+
+_ACTION_STD = 0.2  # Radians around the standing action.
+_BURN_IN = 50  # Control steps until episodes end at all times.
+_FLAGFILE = 'quickstart.flags'
+_LEAST_SHARE = 0.1  # Percent of a step that the profile shows.
+
+_RAW, _BATCHED = 'raw Batch.step', 'BatchedImitation'
+_COMPOSER, _ASYNC = 'Composer', 'AsyncVectorEnv'
+_PPO = 'PPO loop'
+
+Row = dict[str, Any]
+
+
+class Contender(Protocol):
+  """Something whose speed is measured."""
+
+  def measure(self, seconds: float) -> dict[str, float]:
+    """Runs for that long; returns control steps per second by name."""
+
+  def close(self) -> None:
+    """Ends what it started."""
+
+
+class _Actions:
+  """Random actions around standing."""
+
+  def __init__(self, standing: np.ndarray, seed: int):
+    self._standing = standing
+    self._random_state = np.random.RandomState(seed)
+
+  def draw(self, *shape: int) -> np.ndarray:
+    size = (*shape, len(self._standing))
+    noise = self._random_state.standard_normal(size)
+    return self._standing + _ACTION_STD * noise
+
+
+class _Worlds:
+  """BatchedImitation, and its physics alone on the same states."""
+
+  def __init__(self, config: run_setup.RunConfig):
+    self.environment = _build(config).environment
+    standing = self.environment.standing_action()
+    self.actions = _Actions(standing, config.seed)
+    self._ctrl = self.environment.batch.bind('ctrl')
+    self.environment.reset()
+    for _ in range(_BURN_IN):
+      self.environment.step(self.draw())
+
+  def draw(self) -> np.ndarray:
+    """Returns actions for all worlds."""
+    return self.actions.draw(self.environment.num_worlds)
+
+  def measure(self, seconds: float) -> dict[str, float]:
+    """Steps raw, puts the states back, steps the environment; and so on."""
+    spent, steps = {_RAW: 0.0, _BATCHED: 0.0}, 0
+    while min(spent.values()) < seconds:
+      actions, rows = self.draw(), self.environment.batch.state.copy()
+      self._ctrl[:] = actions
+      spent[_RAW] += _time(self._step_raw)
+      self.environment.batch.state[:] = rows
+      step = functools.partial(self.environment.step, actions)
+      spent[_BATCHED] += _time(step)
+      steps += self.environment.num_worlds
+    return {name: steps / seconds for name, seconds in spent.items()}
+
+  def _step_raw(self) -> None:
+    with contextlib.suppress(mujoco_batch.SimulationError):
+      self.environment.batch.step(nstep=self.environment.config.substeps)
+
+  def close(self) -> None:
+    """Has nothing to end."""
+
+
+class _Composer:
+  """The Composer task in a loop."""
+
+  def __init__(self, config: run_setup.RunConfig, standing: np.ndarray):
+    self._environment = _composer(config.modes, config.task, config.seed)
+    self._actions = _Actions(standing, config.seed)
+    self._timestep = self._environment.reset()
+
+  def measure(self, seconds: float) -> dict[str, float]:
+    """Steps, and resets where an episode has ended."""
+    return {_COMPOSER: _rate(self._step, 1, seconds)}
+
+  def _step(self) -> None:
+    if self._timestep.last():
+      self._environment.reset()
+    self._timestep = self._environment.step(self._actions.draw())
+
+  def close(self) -> None:
+    """Frees the physics."""
+    self._environment.close()
+
+
+class _Processes:
+  """Gymnasium's AsyncVectorEnv of the Composer task, a process a thread."""
+
+  def __init__(self, config: run_setup.RunConfig, standing: np.ndarray):
+    from gymnasium import vector
+
+    make = functools.partial(_gymnasium, config.modes, config.task)
+    self._actions = _Actions(standing, config.seed)
+    # Forked children would inherit the locks of our threads.
+    self._environments = vector.AsyncVectorEnv(
+      [make] * config.threads,
+      shared_memory=True,
+      context='spawn',
+      autoreset_mode=vector.AutoresetMode.SAME_STEP,
+    )
+    self._environments.reset(seed=config.seed)
+
+  def measure(self, seconds: float) -> dict[str, float]:
+    """Steps all processes together; they reset by themselves."""
+    count = self._environments.num_envs
+    return {_ASYNC: _rate(self._step, count, seconds)}
+
+  def _step(self) -> None:
+    actions = self._actions.draw(self._environments.num_envs)
+    self._environments.step(actions.astype(np.float32))
+
+  def close(self) -> None:
+    """Ends the processes."""
+    self._environments.close()
+
+
+class _Training:
+  """Whole iterations of PPO: acting, stepping, learning."""
+
+  def __init__(self, config: run_setup.RunConfig):
+    self._loop = _build(config).loop
+    self._iteration()  # The first one allocates.
+
+  def _iteration(self) -> None:
+    length = training.TrainingConfig(steps=self._loop.steps + 1)
+    self._loop.run(length, loggers.Dispatcher([]), save=lambda: None)
+
+  def measure(self, seconds: float) -> dict[str, float]:
+    """Runs iterations until the time is up."""
+    before, spent = self._loop.steps, 0.0
+    while spent < seconds:
+      spent += _time(self._iteration)
+    return {_PPO: (self._loop.steps - before) / spent}
+
+  def close(self) -> None:
+    """Has nothing to end."""
+
+
+def _time(function: Callable[[], Any]) -> float:
+  """Returns the seconds that a call takes."""
+  began = time.perf_counter()
+  function()
+  return time.perf_counter() - began
+
+
+def _rate(step: Callable[[], None], count: int, seconds: float) -> float:
+  """Returns control steps per second, `count` of them a call."""
+  calls, began, now = 0, time.perf_counter(), 0.0
+  while now < seconds:
+    step()
+    calls, now = calls + 1, time.perf_counter() - began
+  return calls * count / now
+
+
+def _build(config: run_setup.RunConfig) -> run_setup.Run:
+  motions = library.resolve(config.modes)
+  names = tuple(motion.name for motion in motions)
+  codebook = multimode_biped.library_codebook().subset(names)
+  return run_setup.build(config, motions, codebook)
+
+
+def _composer(
+  modes: str, config: task_config.ImitationConfig, seed: int | None
+) -> composer.Environment:
+  return multimode_biped.multimode(modes, random=seed, config=config)
+
+
+def _gymnasium(modes: str, config: task_config.ImitationConfig) -> Any:
+  from dmc_multimode.suite import gymnasium_env
+
+  return gymnasium_env.GymnasiumEnv(_composer(modes, config, None))
+
+
+def compare(config: run_setup.RunConfig) -> list[Row]:
+  """Measures all contenders in turns; returns the rows of the table."""
+  rates: dict[str, list[float]] = {}
+  with contextlib.ExitStack() as stack:
+    worlds = _Worlds(config)
+    standing = worlds.environment.standing_action()
+    contenders: list[Contender] = [
+      worlds,
+      _Composer(config, standing),
+      _Processes(config, standing),
+      _Training(config),
+    ]
+    for contender in contenders:
+      stack.callback(contender.close)
+    with tqdm.tqdm(total=_ROUNDS.value * len(contenders)) as bar:
+      for _ in range(_ROUNDS.value):
+        for contender in contenders:
+          for name, rate in contender.measure(_SECONDS.value).items():
+            rates.setdefault(name, []).append(rate)
+          bar.update()
+  return [_row(name, rates) for name in rates]
+
+
+def _row(name: str, rates: Mapping[str, list[float]]) -> Row:
+  ratios = np.array(rates[name]) / np.array(rates[_RAW])
+  return {
+    'name': name,
+    'steps_per_second': float(np.median(rates[name])),
+    'ratio_to_raw': float(np.median(ratios)),
+    'ratio_range': [float(ratios.min()), float(ratios.max())],
+  }
+
+
+def profile(config: run_setup.RunConfig) -> list[Row]:
+  """Returns what share of BatchedImitation.step each function takes."""
+  worlds, profiler, spent = _Worlds(config), cProfile.Profile(), 0.0
+  with tqdm.tqdm(total=round(_SECONDS.value, 2), unit='s') as bar:
+    while spent < _SECONDS.value:
+      actions = worlds.draw()
+      step = functools.partial(
+        profiler.runcall, worlds.environment.step, actions
+      )
+      seconds = _time(step)
+      bar.update(round(seconds, 3))
+      spent += seconds
+  return _shares(pstats.Stats(profiler).stats)  # type: ignore[attr-defined]
+
+
+def _shares(stats: Mapping[Any, Any]) -> list[Row]:
+  """Splits the time among our functions and the engine's.
+
+  What a function spends in numpy or scipy counts as its own; all shares of
+  their own add up to 100 percent.
+  """
+  ours = str(pathlib.Path(dmc_multimode.__file__).parent)
+  files = (ours, mujoco_batch.__file__)
+  chosen = {key: s for key, s in stats.items() if key[0].startswith(files)}
+  own = {key: cumulative for key, (*_, cumulative, _) in chosen.items()}
+  for *_, callers in chosen.values():
+    for caller, (*_, cumulative) in callers.items():
+      if caller in own:
+        own[caller] -= cumulative
+  total = max(cumulative for *_, cumulative, _ in chosen.values())
+  rows = [
+    {
+      'name': f'{pathlib.Path(file).stem}.{function}',
+      'own_percent': 100 * own[file, line, function] / total,
+      'percent': 100 * cumulative / total,
+    }
+    for (file, line, function), (*_, cumulative, _) in chosen.items()
+  ]
+  rows.sort(key=lambda row: -row['own_percent'])
+  return [row for row in rows if row['own_percent'] >= _LEAST_SHARE]
+
+
+def _print_comparison(rows: list[Row]) -> None:
+  print(f'{"control steps per second":26}{"":>11}{"to raw":>9}  in the rounds')
+  for row in rows:
+    low, high = row['ratio_range']
+    print(
+      f'{row["name"]:26}{row["steps_per_second"]:11,.0f}'
+      f'{row["ratio_to_raw"]:9.3f}  {low:.3f} to {high:.3f}'
+    )
+  ratios = {row['name']: row['ratio_to_raw'] for row in rows}
+  print(f'{_BATCHED} to {_ASYNC}: {ratios[_BATCHED] / ratios[_ASYNC]:.1f}')
+
+
+def _print_profile(rows: list[Row]) -> None:
+  print(f'{"percent of a step":36}{"own":>8}{"with callees":>15}')
+  for row in rows:
+    print(f'{row["name"]:36}{row["own_percent"]:8.2f}{row["percent"]:15.2f}')
+
+
+def _report(config: run_setup.RunConfig, rows: list[Row]) -> dict[str, Any]:
+  """Returns what the JSON file holds."""
+  packages = ('mujoco', 'dm_control', 'torch', 'numpy', 'gymnasium')
+  return {
+    'benchmark': 'throughput',
+    'table': rows,
+    'rounds': _ROUNDS.value,
+    'seconds': _SECONDS.value,
+    'seed': config.seed,
+    'config': run_setup.to_dict(config),
+    'versions': {name: importlib.metadata.version(name) for name in packages},
+    'python': platform.python_version(),
+    'platform': platform.platform(),
+    'cores': _CORES,
+  }
+
+
+def main(argv: Sequence[str]) -> None:
+  """Measures, prints, writes."""
+  del argv
+  out = pathlib.Path(_OUT.value) if _OUT.value else None
+  if out is not None and not out.parent.is_dir():
+    raise ValueError(f'--out: there is no folder {out.parent}.')
+  parts: dict[str, Any] = {
+    part: config_flags.read(getattr(run_setup.RunConfig(), part), part)
+    for part in _PARTS
+  }
+  config = run_setup.RunConfig(
+    modes=_MODES.value,
+    seed=_SEED.value,
+    num_worlds=_NUM_WORLDS.value,
+    threads=_THREADS.value,
+    **parts,
+  )
+  print(
+    f'{config.modes}, {config.num_worlds} worlds, {config.threads} threads on '
+    f'{_CORES} cores, mujoco {mujoco.__version__}'
+  )
+  rows = profile(config) if _PROFILE.value else compare(config)
+  (_print_profile if _PROFILE.value else _print_comparison)(rows)
+  if out is not None:
+    text = json.dumps(_report(config, rows), indent=1) + '\n'
+    checkpointing.write_atomically(out, text.encode())
+
+
+def cli() -> None:
+  """Runs with the quick start's hyperparameters unless flags say otherwise."""
+  lines = resources.path('flags', _FLAGFILE).read_text('utf-8').splitlines()
+  prefixes = tuple(f'--{part}_' for part in _PARTS)
+  preset = [line for line in lines if line.startswith(prefixes)]
+  app.run(main, [sys.argv[0], *preset, *sys.argv[1:]])
+
+
+if __name__ == '__main__':
+  cli()
