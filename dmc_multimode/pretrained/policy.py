@@ -108,18 +108,21 @@ def load(policy: str | os.PathLike[str]) -> Policy:
     ValueError: a file is truncated, foreign, or does not fit the others.
   """
   directory = _find(policy)
-  description = _read_json(directory / DESCRIPTION_FILE)
+  path = directory / DESCRIPTION_FILE
+  description = _read_json(path)
   if description.get('format') != _FORMAT:
-    raise ValueError(
-      f'{directory / DESCRIPTION_FILE} is not a policy of this version.'
-    )
+    raise ValueError(f'{path} is not a policy of this version.')
   try:
-    loaded = _build(directory, description)
-  except (KeyError, TypeError, OverflowError) as error:
-    raise ValueError(
-      f'{directory / DESCRIPTION_FILE} is damaged: {error!r}.'
-    ) from error
-  return loaded
+    untrained = _untrained(description)
+  except (KeyError, TypeError, ValueError, OverflowError) as error:
+    lacks = isinstance(error, KeyError)
+    reason = f'it lacks {error}.' if lacks else str(error)
+    raise ValueError(f'{path} is damaged: {reason}') from error
+  _load_weights(untrained.network, directory / WEIGHTS_FILE)
+  metrics = directory / METRICS_FILE
+  return dataclasses.replace(
+    untrained, metrics=_read_json(metrics) if metrics.exists() else {}
+  )
 
 
 def _find(policy: str | os.PathLike[str]) -> pathlib.Path:
@@ -144,38 +147,37 @@ def _read_json(path: pathlib.Path) -> dict[str, Any]:
     raise ValueError(f'{path} is too large for a policy.')
   try:
     content = json.loads(path.read_text(encoding='utf-8'))
-  except ValueError as error:
+  except (ValueError, RecursionError) as error:
     raise ValueError(f'{path} is damaged: {error}.') from error
   if not isinstance(content, dict):
     raise ValueError(f'{path} is damaged: it holds no object.')
   return content
 
 
-def _build(directory: pathlib.Path, description: dict[str, Any]) -> Policy:
+def _untrained(description: dict[str, Any]) -> Policy:
+  """Returns the policy that a description is of, without its weights."""
   hidden = tuple(int(size) for size in description['hidden_sizes'])
   if (
     not hidden
     or len(hidden) > 8
     or not all(0 < h <= _MAX_UNITS for h in hidden)
   ):
-    raise ValueError(f'{directory}: hidden sizes {hidden} are out of bounds.')
+    raise ValueError(f'hidden sizes {hidden} are out of bounds.')
   motions = tuple(files.motion_from_dict(m) for m in description['modes'])
   codebook = codebook_lib.Codebook(
     tuple(motion.name for motion in motions),
     np.array(description['latents'], dtype=np.float32),
   )
   size = 2 + codebook.latent_dim + observations.STATE_SIZE
-  network = networks.ActorCritic(size, _NUM_ACTIONS, hidden)
-  _load_weights(network, directory / WEIGHTS_FILE)
-  metrics = directory / METRICS_FILE
+  with torch.device('meta'):  # Shapes alone, whatever sizes are asked for.
+    network = networks.ActorCritic(size, _NUM_ACTIONS, hidden)
   return Policy(
     network,
     hidden,
     motions,
     codebook,
     config_lib.from_dict(description['task']),
-    description.get('provenance', {}),
-    _read_json(metrics) if metrics.exists() else {},
+    dict(description.get('provenance', {})),
   )
 
 
@@ -200,4 +202,5 @@ def _load_weights(network: networks.ActorCritic, path: pathlib.Path) -> None:
     )
   if not all(torch.isfinite(v).all() for v in weights.values()):
     raise ValueError(f'{path} holds weights that are not finite.')
+  network.to_empty(device='cpu')
   network.load_state_dict(weights)
