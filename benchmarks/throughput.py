@@ -29,8 +29,8 @@ import numpy as np
 import tqdm
 
 import dmc_multimode
+from dmc_multimode import atomic
 from dmc_multimode import resources
-from dmc_multimode.agents import checkpointing
 from dmc_multimode.agents import loggers
 from dmc_multimode.agents import training
 from dmc_multimode.bin import app
@@ -378,7 +378,7 @@ def main(argv: Sequence[str]) -> None:
   (_print_profile if _PROFILE.value else _print_comparison)(rows)
   if out is not None:
     text = json.dumps(_report(config, rows), indent=1) + '\n'
-    checkpointing.write_atomically(out, text.encode())
+    atomic.write(out, text.encode())
 
 
 def cli() -> None:

@@ -19,11 +19,19 @@ _BIN_ONLY = {'bin'}
 _ALLOWED = {
   '': set[str](),
   'resources': set[str](),
-  'pretrained': {'pretrained', 'modes', 'suite', 'agents', 'resources'},
-  'modes': {'modes'},
+  'atomic': set[str](),
+  'pretrained': {
+    'pretrained',
+    'atomic',
+    'modes',
+    'suite',
+    'agents',
+    'resources',
+  },
+  'modes': {'atomic', 'modes'},
   'arenas': {'arenas', 'modes'},
   'suite': {'suite', 'modes', 'arenas', 'resources'},
-  'agents': {'agents'},
+  'agents': {'atomic', 'agents'},
   'planner': {'planner', 'suite', 'modes', 'arenas', 'agents'},
 }
 _ALLOWED['bin'] = {*_ALLOWED, *_BIN_ONLY} - {''}

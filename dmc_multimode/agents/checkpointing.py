@@ -10,26 +10,11 @@ import safetensors
 from safetensors import torch as safetensors_torch
 import torch
 
+from dmc_multimode import atomic
+
 _FORMAT = 'dmc_multimode.checkpoint.1'
 NAME = 'checkpoint.safetensors'
 PREVIOUS = 'checkpoint.previous.safetensors'
-
-
-def write_atomically(path: pathlib.Path, content: bytes) -> None:
-  """Writes a file under a temporary name, syncs it and renames it.
-
-  Raises:
-    OSError: the folder is not writable or full; `path` is as it was.
-  """
-  temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
-  try:
-    with open(temporary, 'wb') as file:
-      file.write(content)
-      file.flush()
-      os.fsync(file.fileno())
-    os.replace(temporary, path)
-  finally:
-    temporary.unlink(missing_ok=True)
 
 
 def save_tensors(
@@ -42,7 +27,7 @@ def save_tensors(
     key: torch.as_tensor(value).contiguous() for key, value in tensors.items()
   }
   text = {'json': json.dumps(dict(metadata))}
-  write_atomically(path, safetensors_torch.save(converted, metadata=text))
+  atomic.write(path, safetensors_torch.save(converted, metadata=text))
 
 
 def load_tensors(
@@ -59,8 +44,15 @@ def load_tensors(
   try:
     with safetensors.safe_open(str(path), framework='pt') as file:
       metadata = json.loads((file.metadata() or {})['json'])
+      if not isinstance(metadata, dict):
+        raise ValueError('its metadata is no object.')
       tensors = {key: file.get_tensor(key) for key in file.keys()}
-  except (safetensors.SafetensorError, KeyError, ValueError) as error:
+  except (
+    safetensors.SafetensorError,
+    KeyError,
+    ValueError,
+    RecursionError,
+  ) as error:
     raise ValueError(
       f'{path} is truncated or was not written by dmc_multimode: {error}'
     ) from error

@@ -7,7 +7,7 @@ from typing import Mapping, Protocol, Sequence
 
 import tqdm
 
-from dmc_multimode.agents import checkpointing
+from dmc_multimode import atomic
 
 Values = Mapping[str, float]
 
@@ -52,7 +52,7 @@ class CSVLogger:
       writer = csv.DictWriter(text, self._fields)
       writer.writeheader()
       writer.writerows(rows)
-    checkpointing.write_atomically(path, text.getvalue().encode())
+    atomic.write(path, text.getvalue().encode())
     self._file = open(path, 'a', newline='', encoding='utf-8')
 
   def write(self, values: Values) -> None:

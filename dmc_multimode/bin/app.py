@@ -106,6 +106,8 @@ def _flagfile(value: str) -> str:
 
 def _guard(main: Main, argv: Sequence[str]) -> int:
   """Calls `main` and turns what it may raise into an exit code."""
+  if logging.get_verbosity() == logging.INFO:
+    logging.set_verbosity(logging.WARNING)  # dm_control greets at INFO.
   try:
     if len(argv) > 1:
       raise ValueError(f'unexpected argument {argv[1]!r}: use --flag=value')

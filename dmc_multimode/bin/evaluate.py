@@ -5,6 +5,7 @@ python -m dmc_multimode.bin.evaluate --policy=quickstart --out=report.json
 
 import itertools
 import json
+import os
 import pathlib
 from typing import Any, Sequence
 
@@ -12,8 +13,8 @@ from absl import flags
 import numpy as np
 import tqdm
 
+from dmc_multimode import atomic
 from dmc_multimode import pretrained
-from dmc_multimode.agents import checkpointing
 from dmc_multimode.agents import evaluation
 from dmc_multimode.bin import app
 from dmc_multimode.bin import config_flags
@@ -181,9 +182,11 @@ def _checked_out(out: str | None) -> pathlib.Path | None:
   if not out:
     return None
   path = pathlib.Path(out)
-  path.parent.mkdir(parents=True, exist_ok=True)
   if path.is_dir():
     raise IsADirectoryError(f'--out={out} is a folder; name a file.')
+  parent = next(p for p in path.absolute().parents if p.exists())
+  if not (parent.is_dir() and os.access(parent, os.W_OK)):
+    raise NotADirectoryError(f'--out={out}: cannot write into {parent}.')
   return path
 
 
@@ -194,14 +197,15 @@ def main(argv: Sequence[str]) -> None:
     raise ValueError(f'--episodes must be positive, got {_EPISODES.value}.')
   out = _checked_out(_OUT.value)
   policy = pretrained.load(_POLICY.value)
-  config = config_lib.deterministic(policy.config)
+  config = config_lib.for_evaluation(policy.config)
   if _TIMESTEP.value is not None:
     config = config_flags.replace(config, physics_timestep=_TIMESTEP.value)
   evaluator = Evaluator(policy, config, _SEED.value)
   values = report(evaluator, _EPISODES.value, _CLOCK_RATE.value)
   print_report(values)
   if out:
-    checkpointing.write_atomically(out, json.dumps(values, indent=1).encode())
+    out.parent.mkdir(parents=True, exist_ok=True)
+    atomic.write(out, json.dumps(values, indent=1).encode())
     print(f'The report is in {out}')
 
 

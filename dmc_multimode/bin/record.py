@@ -11,7 +11,6 @@ import pathlib
 from typing import Sequence
 
 from absl import flags
-from absl import logging
 
 from dmc_multimode.bin import app
 from dmc_multimode.bin import gl
@@ -52,8 +51,6 @@ def main(argv: Sequence[str]) -> None:
   del argv
   names, durations = schedule.parse(_SCHEDULE.value)
   policy, out = _checked_paths()
-  if logging.get_verbosity() == logging.INFO:
-    logging.set_verbosity(logging.WARNING)  # dm_control greets at INFO.
   gl.choose_backend()
   # These import dm_control, which reads the choice.
   from dmc_multimode import pretrained

@@ -236,7 +236,7 @@ def _task_config(
     changes['physics_timestep'] = rollout.physics_timestep
   if not rollout.terminate:
     changes['limits'] = _NO_LIMITS
-  return dataclasses.replace(config_lib.deterministic(config), **changes)
+  return dataclasses.replace(config_lib.for_evaluation(config), **changes)
 
 
 def _make_arena(config: RolloutConfig) -> track.Track:

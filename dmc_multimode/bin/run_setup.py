@@ -7,7 +7,7 @@ from typing import Any, Mapping
 
 import torch
 
-from dmc_multimode.agents import checkpointing
+from dmc_multimode import atomic
 from dmc_multimode.agents import training
 from dmc_multimode.agents.ppo import builder as builder_lib
 from dmc_multimode.agents.ppo import config as ppo_config
@@ -56,6 +56,8 @@ class RunConfig:
     for name in ('num_worlds', 'threads'):
       if getattr(self, name) < 1:
         raise ValueError(f'{name} must be positive, got {getattr(self, name)}.')
+    if not 0 <= self.seed < 2**32:
+      raise ValueError(f'seed must be in [0, 2^32), got {self.seed}.')
 
 
 def to_dict(config: RunConfig) -> dict[str, Any]:
@@ -95,7 +97,7 @@ def save_run(
     'modes': [files.motion_to_dict(motion) for motion in motions],
     'latents': codebook.latents.tolist(),
   }
-  checkpointing.write_atomically(
+  atomic.write(
     directory / CONFIG_FILE, json.dumps(description, indent=1).encode()
   )
 

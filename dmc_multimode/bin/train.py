@@ -26,6 +26,7 @@ from dmc_multimode.modes import encoder as encoder_lib
 from dmc_multimode.modes import files
 from dmc_multimode.modes import library
 from dmc_multimode.modes import reference
+from dmc_multimode.suite import mirror
 
 _DEFAULTS = run_setup.RunConfig()
 _RUN_DIR = flags.DEFINE_string(
@@ -82,28 +83,34 @@ def _config_from_flags() -> run_setup.RunConfig:
 
 
 def _begin(directory: pathlib.Path) -> _Ingredients:
-  """Checks everything, then trains the encoder of a new run."""
+  """Checks everything, then makes the folder and the encoder of a new run."""
   config = _config_from_flags()
   extra = files.load(_MODE_FILE.value) if _MODE_FILE.value else ()
   motions = library.resolve(config.modes, extra)
-  names = tuple(motion.name for motion in motions)
-  directory.mkdir(parents=True, exist_ok=True)
-  if (directory / run_setup.CONFIG_FILE).exists():
+  codebook = codebook_lib.one_hot(motions)
+  if config.ppo.symmetry != 'none':
+    mirror.mirror_image(motions, codebook)  # Raises where there is none.
+  encoder = None
+  if _ENCODER.value and not config.one_hot:
+    encoder = encoder_lib.load(_ENCODER.value)
+    encoder.codebook().subset(codebook.names)
+  if (directory / run_setup.CONFIG_FILE).exists() or checkpointing.Checkpointer(
+    directory
+  ).exists():
     raise ValueError(
       f'{directory} already holds a run: add --resume, or name another folder.'
     )
+  directory.mkdir(parents=True, exist_ok=True)
   if config.one_hot:
-    return config, motions, codebook_lib.one_hot(motions)
-  encoder = _encoder(motions, config.seed)
+    return config, motions, codebook
+  encoder = encoder or _train_encoder(motions, config.seed)
   encoder.save(directory / 'encoder')
-  return config, motions, encoder.codebook().subset(names)
+  return config, motions, encoder.codebook().subset(codebook.names)
 
 
-def _encoder(
+def _train_encoder(
   motions: tuple[reference.ReferenceMotion, ...], seed: int
 ) -> encoder_lib.ModeEncoder:
-  if _ENCODER.value:
-    return encoder_lib.load(_ENCODER.value)
   print('Training the mode encoder.', flush=True)
   contacts = encoder_lib.needs_contacts(motions)
   return encoder_lib.train(
@@ -165,12 +172,15 @@ def main(argv: Sequence[str]) -> None:
   """Trains or resumes."""
   del argv
   length = training.TrainingConfig(_STEPS.value, _MINUTES.value)
+  if not _RUN_DIR.value:
+    raise ValueError('--run_dir must name a folder.')
   directory = pathlib.Path(_RUN_DIR.value)
   config, motions, codebook = (
     _continue(directory) if _RESUME.value else _begin(directory)
   )
   run = run_setup.build(config, motions, codebook)
-  run_setup.save_run(directory, config, motions, codebook)
+  if not _RESUME.value:
+    run_setup.save_run(directory, config, motions, codebook)
   checkpointer = checkpointing.Checkpointer(directory)
   if checkpointer.exists():
     tensors, values, note = checkpointer.load()

@@ -7,7 +7,7 @@ from typing import Sequence
 
 import numpy as np
 
-from dmc_multimode.modes import files
+from dmc_multimode import atomic
 from dmc_multimode.modes import reference
 
 FILE = 'codebook.json'
@@ -80,7 +80,7 @@ class Codebook:
 
   def save(self, directory: pathlib.Path) -> None:
     """Writes `codebook.json` into a folder, whole or not at all."""
-    files.write_atomically(directory / FILE, self.to_json().encode())
+    atomic.write(directory / FILE, self.to_json().encode())
 
   def separation(self) -> float:
     """Returns the smallest over the mean distance between two modes.

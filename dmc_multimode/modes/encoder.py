@@ -31,6 +31,7 @@ import safetensors.torch
 import torch
 from torch import nn
 
+from dmc_multimode import atomic
 from dmc_multimode.modes import autoencoder
 from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import files
@@ -187,8 +188,8 @@ class ModeEncoder:
       'weights_sha256': digest(weights),
     }
     text = json.dumps(description, indent=1, allow_nan=False) + '\n'
-    files.write_atomically(directory / WEIGHTS_FILE, weights)
-    files.write_atomically(directory / CONFIG_FILE, text.encode())
+    atomic.write(directory / WEIGHTS_FILE, weights)
+    atomic.write(directory / CONFIG_FILE, text.encode())
 
   def _latents(self, batch: autoencoder.Batch) -> torch.Tensor:
     network = self.network

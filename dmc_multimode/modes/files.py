@@ -21,7 +21,6 @@ Nothing in a file is executed, and every error names the file and the line.
 
 import json
 import os
-import pathlib
 import re
 import reprlib
 from typing import Any, Mapping, NoReturn
@@ -80,25 +79,6 @@ def motion_from_dict(data: Mapping[str, Any]) -> reference.ReferenceMotion:
     return fields.motion(data, ())
   except fields.FieldError as error:
     raise ModeFileError(f'{error.spell()}: {error}') from None
-
-
-def write_atomically(path: str | os.PathLike[str], data: bytes) -> None:
-  """Replaces a file in one step: a reader sees the old or the new content.
-
-  Raises:
-    OSError: the folder cannot be written.
-  """
-  path = pathlib.Path(path)
-  temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
-  try:
-    with open(temporary, 'wb') as file:
-      file.write(data)
-      file.flush()
-      os.fsync(file.fileno())
-    os.replace(temporary, path)
-  except BaseException:
-    temporary.unlink(missing_ok=True)
-    raise
 
 
 # Text to plain data, with the line of every value.

@@ -20,6 +20,7 @@ import mujoco
 import numpy as np
 import torch
 
+from dmc_multimode import atomic
 from dmc_multimode import resources
 from dmc_multimode.agents import checkpointing
 from dmc_multimode.agents.ppo import acting
@@ -91,7 +92,7 @@ class Policy:
     checkpointing.save_tensors(
       directory / WEIGHTS_FILE, self.network.state_dict(), {'format': _FORMAT}
     )
-    checkpointing.write_atomically(
+    atomic.write(
       directory / DESCRIPTION_FILE, json.dumps(description, indent=1).encode()
     )
 

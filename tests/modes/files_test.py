@@ -2,9 +2,7 @@
 
 import copy
 import json
-import os
 import pathlib
-import stat
 import tempfile
 from typing import Any
 
@@ -306,25 +304,6 @@ class FuzzTest(_FilesTest):
       self.assertLen(str(error).splitlines(), 1)
     path = self.write(json.dumps(mode), 'a.json')
     self.only_mode_file_errors(path)
-
-
-class WriteAtomicallyTest(_FilesTest):
-  def test_replaces(self) -> None:
-    path = self.folder / 'file'
-    files.write_atomically(path, b'one')
-    files.write_atomically(path, b'two')
-    self.assertEqual(path.read_bytes(), b'two')
-    self.assertEqual(os.listdir(self.folder), ['file'])
-    umask = os.umask(0)
-    os.umask(umask)
-    self.assertEqual(stat.S_IMODE(path.stat().st_mode), 0o666 & ~umask)
-
-  def test_leaves_nothing_behind(self) -> None:
-    target = self.folder / 'folder'
-    (target / 'inside').mkdir(parents=True)
-    with self.assertRaises(OSError):
-      files.write_atomically(target, b'one')
-    self.assertEqual(os.listdir(self.folder), ['folder'])
 
 
 if __name__ == '__main__':

@@ -26,8 +26,12 @@ class PPOConfig:
     min_learning_rate, max_learning_rate: bounds of the adaptation.
     max_gradient_norm: gradients are scaled down to it.
     initial_std: of the actions, radians.
-    min_std: the standard deviation never falls below; without a floor the
+    min_std: the standard deviation does not fall below; without a floor the
       exploration collapses early.
+    final_min_std: where that floor ends: what is learned under much noise is
+      not quite what is best without any.
+    anneal_start, anneal_end: control steps of all worlds together between which
+      the floor falls, geometrically, from `min_std` to `final_min_std`.
     learn_std: whether the standard deviation is learned, or stays as it is.
     symmetry: 'augment' adds the left-right mirror image of every sample.
   """
@@ -48,6 +52,9 @@ class PPOConfig:
   max_gradient_norm: float = 1.0
   initial_std: float = 0.25
   min_std: float = 0.1
+  final_min_std: float = 0.1
+  anneal_start: int = 0
+  anneal_end: int = 0
   learn_std: bool = True
   symmetry: str = 'none'
 
@@ -63,18 +70,36 @@ class PPOConfig:
       'max_gradient_norm',
       'initial_std',
       'min_std',
+      'final_min_std',
     )
     for name in positive:
       value = getattr(self, name)
       if not (math.isfinite(value) and value > 0):
         raise ValueError(f'{name} must be positive, got {value}.')
+    for name in ('value_coefficient', 'entropy_coefficient', 'target_kl'):
+      value = getattr(self, name)
+      if not (math.isfinite(value) and value >= 0):
+        raise ValueError(f'{name} must not be negative, got {value}.')
     if not 0 <= self.discount < 1:
       raise ValueError(f'discount must be in [0, 1), got {self.discount}.')
     if not 0 <= self.gae_lambda <= 1:
       raise ValueError(f'gae_lambda must be in [0, 1], got {self.gae_lambda}.')
+    if not 0 <= self.anneal_start <= self.anneal_end:
+      raise ValueError(
+        f'anneal_start {self.anneal_start} must not be negative nor later than '
+        f'anneal_end {self.anneal_end}.'
+      )
     if not self.hidden_sizes or min(self.hidden_sizes) < 1:
       raise ValueError('hidden_sizes needs at least one positive width.')
     if self.symmetry not in SYMMETRIES:
       raise ValueError(
         f'symmetry {self.symmetry!r} is not one of {SYMMETRIES}.'
       )
+
+  def std_floor(self, steps: int) -> float:
+    """Returns the floor of the standard deviation after `steps`, radians."""
+    if steps >= self.anneal_end:
+      return self.final_min_std if self.anneal_end else self.min_std
+    span = self.anneal_end - self.anneal_start
+    share = max(steps - self.anneal_start, 0) / span
+    return self.min_std * (self.final_min_std / self.min_std) ** share

@@ -111,6 +111,7 @@ class PPOLearner:
     kl = self._divergence(samples, old_std)
     self._adapt_learning_rate(kl)
     self.network.normaliser.update(rollouts.observations.flatten(0, 1))
+    self._lower_std_floor()
     mean = {
       key: float(torch.stack([m[key] for m in metrics]).mean())
       for key in metrics[0]
@@ -233,6 +234,11 @@ class PPOLearner:
       ).mean()
     )
 
+  def _lower_std_floor(self) -> None:
+    """Follows the floor's schedule by the steps that were learned from."""
+    steps = int(self.network.normaliser.count)
+    self.network.min_std = self._config.std_floor(steps)
+
   def _adapt_learning_rate(self, kl: float) -> None:
     """Holds the KL divergence of an iteration near its target."""
     config, rate = self._config, self.learning_rate
@@ -278,6 +284,7 @@ class PPOLearner:
       }
       if moments:
         self._optimiser.state[p] = moments
+    self._lower_std_floor()
     self._generator.set_state(state['generator'])
     self._set_learning_rate(float(state['learning_rate']))
 

@@ -87,7 +87,7 @@ class ActorCritic(nn.Module):
     self.log_std = nn.Parameter(
       torch.full((action_size,), float(np.log(initial_std)))
     )
-    self._min_log_std = float(np.log(min_std))
+    self.min_std = min_std
     for network, gain in ((self.policy, 0.01), (self.value, 1.0)):
       linears = linears_of(network)
       for linear in linears:
@@ -101,7 +101,7 @@ class ActorCritic(nn.Module):
   @property
   def std(self) -> torch.Tensor:
     """Standard deviation of the actions, [A]."""
-    return self.log_std.clamp(min=self._min_log_std).exp()
+    return self.log_std.clamp(min=float(np.log(self.min_std))).exp()
 
   def act(self, observation: torch.Tensor) -> torch.Tensor:
     """Returns the mean actions for raw observations, [B, D] -> [B, A]."""
