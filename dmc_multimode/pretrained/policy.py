@@ -203,5 +203,5 @@ def _load_weights(network: networks.ActorCritic, path: pathlib.Path) -> None:
     )
   if not all(torch.isfinite(v).all() for v in weights.values()):
     raise ValueError(f'{path} holds weights that are not finite.')
-  network.to_empty(device='cpu')
-  network.load_state_dict(weights)
+  cast = {k: weights[k].to(v.dtype) for k, v in network.state_dict().items()}
+  network.load_state_dict(cast, assign=True)

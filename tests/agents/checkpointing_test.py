@@ -1,0 +1,188 @@
+"""Tests of dmc_multimode.agents.checkpointing."""
+
+import os
+import pathlib
+import pickle
+from typing import Any, Callable
+from unittest import mock
+
+import numpy as np
+import pytest
+from safetensors import torch as safetensors_torch
+import torch
+
+from dmc_multimode.agents import checkpointing
+
+Checkpointer = checkpointing.Checkpointer
+
+
+class Planted:
+  """A pickle that makes a file where it is loaded."""
+
+  def __init__(self, mark: pathlib.Path) -> None:
+    self._mark = mark
+
+  def __reduce__(self) -> tuple[Any, ...]:
+    return pathlib.Path.touch, (self._mark,)
+
+
+def _save(folder: pathlib.Path, value: float) -> None:
+  Checkpointer(folder).save({'x': np.full(100, value)}, {'steps': int(value)})
+
+
+def _value(folder: pathlib.Path) -> tuple[float, str]:
+  tensors, metadata, note = Checkpointer(folder).load()
+  assert metadata['steps'] == tensors['x'][0] == tensors['x'][-1]
+  return float(tensors['x'][0]), note
+
+
+def test_round_trip(tmp_path: pathlib.Path) -> None:
+  tensors: dict[str, torch.Tensor | np.ndarray] = {
+    'a': torch.arange(6.0).reshape(2, 3).T,  # Not contiguous.
+    'b': np.array([np.pi, np.nan, np.inf]),
+    'c': torch.zeros((), dtype=torch.float64),
+    'd': torch.Generator().manual_seed(3).get_state(),
+    'e': np.array([True, False]),
+  }
+  path = tmp_path / 'file'
+  checkpointing.save_tensors(path, tensors, {'n': [1, 'x'], 'z': None})
+  loaded, metadata = checkpointing.load_tensors(path)
+  assert metadata == {'n': [1, 'x'], 'z': None}
+  assert loaded.keys() == tensors.keys()
+  for key, value in tensors.items():
+    expected = torch.as_tensor(value)
+    assert loaded[key].dtype == expected.dtype
+    torch.testing.assert_close(
+      loaded[key], expected, rtol=0, atol=0, equal_nan=True
+    )
+
+
+def test_keeps_the_newest_two(tmp_path: pathlib.Path) -> None:
+  checkpointer = Checkpointer(tmp_path)
+  assert not checkpointer.exists()
+  for value in (1, 2, 3):
+    _save(tmp_path, value)
+    assert checkpointer.exists()
+    assert _value(tmp_path) == (value, '')
+  names = {path.name for path in tmp_path.iterdir()}
+  assert names == {checkpointing.NAME, checkpointing.PREVIOUS}
+
+
+@pytest.mark.parametrize('place', ['fsync', 'replace'])
+def test_crash_while_writing(tmp_path: pathlib.Path, place: str) -> None:
+  _save(tmp_path, 1)
+  before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+  with (
+    mock.patch.object(os, place, side_effect=OSError('full')),
+    pytest.raises(OSError, match='full'),
+  ):
+    _save(tmp_path, 2)
+  after = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+  assert after == before
+  _save(tmp_path, 3)
+  assert _value(tmp_path) == (3, '')
+
+
+def test_crash_at_every_rename(tmp_path: pathlib.Path) -> None:
+  """Wherever a process dies, the newest or the one before it is there."""
+  rename, notes = os.replace, []
+  for allowed in range(3):
+    folder = tmp_path / str(allowed)
+    folder.mkdir()
+    _save(folder, 1)
+    calls = [rename] * allowed + [mock.Mock(side_effect=KeyboardInterrupt)]
+    step = lambda *args, calls=calls: calls.pop(0)(*args)
+    with (
+      mock.patch.object(os, 'replace', step),
+      pytest.raises(KeyboardInterrupt),
+    ):
+      _save(folder, 2)
+    value, note = _value(folder)
+    assert value == 1
+    notes.append(note)
+    _save(folder, 3)
+    assert _value(folder) == (3, '')
+  assert notes[0] == notes[1] == ''
+  assert f'Resuming from {checkpointing.PREVIOUS}.' in notes[2]
+
+
+@pytest.mark.parametrize('kept', [0, 7, 100, -1])
+def test_truncated_newest(tmp_path: pathlib.Path, kept: int) -> None:
+  _save(tmp_path, 1)
+  _save(tmp_path, 2)
+  newest = tmp_path / checkpointing.NAME
+  newest.write_bytes(newest.read_bytes()[:kept])
+  value, note = _value(tmp_path)
+  assert value == 1
+  assert str(newest) in note and 'truncated' in note
+  assert note.endswith(f'Resuming from {checkpointing.PREVIOUS}.')
+  _save(tmp_path, 3)
+  assert _value(tmp_path) == (3, '')
+
+
+def _foreign(path: pathlib.Path) -> None:
+  path.write_bytes(safetensors_torch.save({'x': torch.zeros(3)}))
+
+
+def _weights_of_a_policy(path: pathlib.Path) -> None:
+  checkpointing.save_tensors(path, {'x': torch.zeros(3)}, {'format': 'other'})
+
+
+def _no_object(path: pathlib.Path) -> None:
+  content = safetensors_torch.save({'x': torch.zeros(3)}, {'json': '[]'})
+  path.write_bytes(content)
+
+
+def _text(path: pathlib.Path) -> None:
+  path.write_text('steps: 3\n')
+
+
+def _empty(path: pathlib.Path) -> None:
+  path.write_bytes(b'')
+
+
+@pytest.mark.parametrize(
+  'write', [_foreign, _weights_of_a_policy, _no_object, _text, _empty]
+)
+def test_foreign_file(
+  tmp_path: pathlib.Path, write: Callable[[pathlib.Path], None]
+) -> None:
+  write(tmp_path / checkpointing.NAME)
+  with pytest.raises(ValueError, match=checkpointing.NAME) as error:
+    Checkpointer(tmp_path).load()
+  assert '\n' not in str(error.value)
+  # With a good one behind it, that one is taken, and it is said so.
+  _save(tmp_path, 1)
+  _save(tmp_path, 2)
+  write(tmp_path / checkpointing.NAME)
+  value, note = _value(tmp_path)
+  assert value == 1 and checkpointing.NAME in note
+
+
+@pytest.mark.parametrize('dump', ['pickle', 'torch'])
+def test_pickle_is_not_run(tmp_path: pathlib.Path, dump: str) -> None:
+  mark, path = tmp_path / 'ran', tmp_path / checkpointing.NAME
+  with open(path, 'wb') as file:
+    if dump == 'pickle':
+      pickle.dump(Planted(mark), file)
+    else:
+      torch.save(Planted(mark), file)
+  with pytest.raises(ValueError, match='truncated or was not written by'):
+    Checkpointer(tmp_path).load()
+  assert not mark.exists()
+  pickle.loads(pickle.dumps(Planted(mark)))
+  assert mark.exists()  # It would have.
+
+
+def test_both_damaged(tmp_path: pathlib.Path) -> None:
+  for name in (checkpointing.NAME, checkpointing.PREVIOUS):
+    (tmp_path / name).write_bytes(b'x')
+  with pytest.raises(ValueError, match='truncated'):
+    Checkpointer(tmp_path).load()
+
+
+def test_nothing_to_load(tmp_path: pathlib.Path) -> None:
+  with pytest.raises(FileNotFoundError, match=checkpointing.NAME):
+    Checkpointer(tmp_path).load()
+  with pytest.raises(FileNotFoundError, match='nothing'):
+    checkpointing.load_tensors(tmp_path / 'nothing')

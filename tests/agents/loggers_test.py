@@ -1,0 +1,120 @@
+"""Tests of dmc_multimode.agents.loggers."""
+
+import contextlib
+import csv
+import io
+import pathlib
+from typing import Any, Mapping
+
+import pytest
+from tensorboard.backend.event_processing import event_accumulator
+
+from dmc_multimode.agents import loggers
+
+
+def _rows(path: pathlib.Path) -> list[dict[str, str]]:
+  with open(path, newline='', encoding='utf-8') as file:
+    return list(csv.DictReader(file))
+
+
+def _write(logger: loggers.Logger, *steps: int, **values: float) -> None:
+  for step in steps:
+    logger.write({'steps': step, 'a': step / 10, **values})
+  logger.close()
+
+
+def test_csv_columns(tmp_path: pathlib.Path) -> None:
+  path = tmp_path / 'metrics.csv'
+  logger = loggers.CSVLogger(path)
+  logger.write({'steps': 12_000_000, 'return/idle': 0.5, 'lr': 1.23456789e-5})
+  assert len(_rows(path)) == 1  # Nothing waits for `close`.
+  logger.write({'steps': 12_000_160.0, 'lr': 1 / 3, 'new': 1.0})
+  logger.close()
+  assert path.read_text().splitlines()[0] == 'steps,return/idle,lr'
+  assert _rows(path) == [
+    {'steps': '12000000', 'return/idle': '0.5', 'lr': '1.23457e-05'},
+    {'steps': '12000160', 'return/idle': '', 'lr': '0.333333'},
+  ]
+
+
+def test_csv_of_a_resumed_run(tmp_path: pathlib.Path) -> None:
+  path = tmp_path / 'metrics.csv'
+  _write(loggers.CSVLogger(path), 10, 20, 30)
+  _write(loggers.CSVLogger(path, resume_from=20), 25, 35)
+  assert [row['steps'] for row in _rows(path)] == ['10', '20', '25', '35']
+  assert [row['a'] for row in _rows(path)] == ['1', '2', '2.5', '3.5']
+
+
+def test_csv_resumed_before_the_first_row(tmp_path: pathlib.Path) -> None:
+  path = tmp_path / 'metrics.csv'
+  _write(loggers.CSVLogger(path), 10)
+  _write(loggers.CSVLogger(path, resume_from=5), 8, b=1.0)
+  assert _rows(path) == [{'steps': '8', 'a': '0.8', 'b': '1'}]
+
+
+def test_csv_of_a_new_run_begins_anew(tmp_path: pathlib.Path) -> None:
+  path = tmp_path / 'metrics.csv'
+  _write(loggers.CSVLogger(path), 10)
+  loggers.CSVLogger(path).close()
+  assert path.read_text() == ''
+
+
+def _scalars(folder: pathlib.Path, tag: str) -> list[tuple[int, Any]]:
+  events = event_accumulator.EventAccumulator(str(folder))
+  events.Reload()
+  return [(e.step, pytest.approx(e.value)) for e in events.Scalars(tag)]
+
+
+def test_tensorboard(tmp_path: pathlib.Path) -> None:
+  _write(loggers.TensorBoardLogger(tmp_path), 10, 20, 30, b=7.0)
+  events = event_accumulator.EventAccumulator(str(tmp_path))
+  events.Reload()
+  assert set(events.Tags()['scalars']) == {'a', 'b'}
+  assert _scalars(tmp_path, 'a') == [(10, 1.0), (20, 2.0), (30, 3.0)]
+
+
+def test_tensorboard_of_a_resumed_run(tmp_path: pathlib.Path) -> None:
+  _write(loggers.TensorBoardLogger(tmp_path), 10, 20, 30)
+  _write(loggers.TensorBoardLogger(tmp_path, resume_from=21), 25)
+  assert _scalars(tmp_path, 'a') == [(10, 1.0), (20, 2.0), (25, 2.5)]
+
+
+def test_progress_line() -> None:
+  line = io.StringIO()
+  with contextlib.redirect_stderr(line):
+    logger = loggers.ProgressLogger(4000, first_step=1000)
+    logger.write(
+      {
+        'steps': 3000,
+        'steps_per_second': 7123.4,
+        'mra_modes': 0.81234,
+        'survival': 0.95,
+        'learning_rate': 5e-4,
+        'unknown': 1.0,
+      }
+    )
+    logger.close()
+  last = line.getvalue().replace('\r', '\n').strip().splitlines()[-1]
+  assert '3.00k/4.00k' in last
+  for part in ('steps/s=7123', 'MRA=0.812', 'survival=0.950', 'lr=5.0e-04'):
+    assert part in last
+  assert 'unknown' not in last and 'std' not in last
+
+
+def test_dispatcher_writes_to_all_in_order() -> None:
+  calls: list[tuple[str, str]] = []
+
+  class Recorder:
+    def __init__(self, name: str) -> None:
+      self._name = name
+
+    def write(self, values: Mapping[str, float]) -> None:
+      calls.append((self._name, str(values['steps'])))
+
+    def close(self) -> None:
+      calls.append((self._name, 'close'))
+
+  dispatcher = loggers.Dispatcher([Recorder('a'), Recorder('b')])
+  dispatcher.write({'steps': 1})
+  dispatcher.close()
+  assert calls == [('a', '1'), ('b', '1'), ('a', 'close'), ('b', 'close')]

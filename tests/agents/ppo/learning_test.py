@@ -1,0 +1,621 @@
+"""Tests of dmc_multimode.agents.ppo.learning and symmetry."""
+
+import dataclasses
+import math
+from typing import Any, Iterator
+
+import numpy as np
+import pytest
+import torch
+
+from dmc_multimode.agents import training
+from dmc_multimode.agents.ppo import acting
+from dmc_multimode.agents.ppo import builder
+from dmc_multimode.agents.ppo import config as config_lib
+from dmc_multimode.agents.ppo import learning
+from dmc_multimode.agents.ppo import networks
+from dmc_multimode.agents.ppo import symmetry
+from dmc_multimode.modes import library
+from dmc_multimode.modes import schedule
+from dmc_multimode.suite import batched
+from dmc_multimode.suite import episodes
+from dmc_multimode.suite import mirror as mirror_lib
+from dmc_multimode.suite import multimode_biped
+from tests.agents import toy
+
+_T, _B, _D, _A = 4, 8, 3, 2
+_CONFIG = config_lib.PPOConfig(hidden_sizes=(16,), rollout_length=_T)
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> Iterator[None]:
+  before = torch.get_num_threads()
+  torch.set_num_threads(1)
+  yield
+  torch.set_num_threads(before)
+
+
+def _network(config: config_lib.PPOConfig = _CONFIG) -> networks.ActorCritic:
+  torch.manual_seed(0)
+  return networks.ActorCritic(_D, _A, config.hidden_sizes, config.initial_std)
+
+
+def _learner(**changes: Any) -> learning.PPOLearner:
+  config = dataclasses.replace(_CONFIG, **changes)
+  return learning.PPOLearner(_network(config), config, seed=1)
+
+
+def _rollouts(
+  network: networks.ActorCritic, seed: int = 0
+) -> learning.Rollouts:
+  """Random observations and rewards, and the network's own actions."""
+  generator = torch.Generator().manual_seed(seed)
+  draw = lambda *shape: torch.randn(_T, _B, *shape, generator=generator)
+  observations, noise = draw(_D), draw(_A)
+  with torch.no_grad():
+    means = network.act(observations)
+    actions = means + network.std * noise
+    log_probs = networks.log_prob(actions, means, network.std)
+  last = torch.rand(_T, _B, generator=generator) < 0.3
+  return learning.Rollouts(
+    observations=observations,
+    actions=actions,
+    log_probs=log_probs,
+    means=means,
+    rewards=draw(),
+    discounts=1.0 - (last & (draw() > 0)).float(),
+    last=last,
+    next_observations=draw(_D),
+  )
+
+
+def _same(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) -> bool:
+  return one.keys() == other.keys() and all(
+    torch.equal(one[key], other[key]) for key in one
+  )
+
+
+def _reach(
+  environment: toy.TargetEnvironment,
+  config: config_lib.PPOConfig,
+  iterations: int,
+  mirror: symmetry.Mirror | None = None,
+) -> networks.ActorCritic:
+  """Learns in the toy environment."""
+  parts = builder.PPOBuilder(config, seed=0)
+  network = parts.make_networks(
+    environment.observation_spec(), environment.action_spec()
+  )
+  loop = training.TrainingLoop(
+    environment,
+    parts.make_actor(network),
+    parts.make_learner(network, mirror),
+    config.rollout_length,
+    ('reach',),
+    dict,
+  )
+  for _ in range(iterations):
+    loop._collect()
+    loop._learner.step(loop._buffers)
+  return network
+
+
+# Learning.
+
+
+def test_a_step_raises_the_surrogate_of_its_own_data() -> None:
+  learner = _learner(epochs=8, entropy_coefficient=0.0, target_kl=0.0)
+  rollouts = _rollouts(learner.network)
+  learner.step(rollouts)
+  # Every sample once more: the policy has moved towards what paid.
+  again = learner.step(rollouts)
+  assert again['loss/policy'] < -0.02
+
+
+def test_policy_learns_to_reach() -> None:
+  target = lambda seen: np.stack([0.5 * seen[:, 0], 0.3 - seen[:, 1]], axis=1)
+  draw = lambda rng, count: rng.uniform(-1, 1, (count, _D))
+  environment = toy.TargetEnvironment(32, target, draw)
+  network = _reach(
+    environment,
+    dataclasses.replace(
+      _CONFIG,
+      rollout_length=16,
+      minibatches=2,
+      learning_rate=2e-3,
+      target_kl=0.03,
+    ),
+    iterations=50,
+  )
+  seen = environment.reset()
+  actor = acting.BatchedActor(network, 0)
+  error = np.abs(actor.select_action(seen) - target(seen)).mean()
+  assert error < 0.1  # It begins at 0.4.
+
+
+def test_learned_and_fixed_std() -> None:
+  for learn in (True, False):
+    learner = _learner(learn_std=learn)
+    metrics = learner.step(_rollouts(learner.network))
+    assert (metrics['std'] != pytest.approx(0.25, abs=1e-7)) == learn
+
+
+def test_std_floor_falls_with_the_steps() -> None:
+  floor: dict[str, Any] = {'min_std': 0.4, 'final_min_std': 0.1}
+  config = config_lib.PPOConfig(**floor, anneal_start=100, anneal_end=300)
+  found = [config.std_floor(steps) for steps in (0, 100, 200, 300, 1000)]
+  assert found == pytest.approx([0.4, 0.4, 0.2, 0.1, 0.1])
+  assert config_lib.PPOConfig(**floor).std_floor(1000) == 0.4
+
+  learner = _learner(**floor, anneal_start=_T * _B, anneal_end=3 * _T * _B)
+  learner.network.log_std.data.fill_(-9.0)
+  rollouts = _rollouts(learner.network)
+  found = [learner.step(rollouts)['std'] for _ in range(4)]
+  assert found == pytest.approx([0.4, 0.2, 0.1, 0.1])
+  other = _learner(**floor, anneal_start=_T * _B, anneal_end=3 * _T * _B)
+  other.restore(learner.state())
+  assert other.network.std.tolist() == pytest.approx([0.1] * _A)
+
+
+@pytest.mark.parametrize(
+  ('rate', 'expected'),
+  [
+    (1e-6, 1.2e-6),  # The policy hardly moves.
+    (0.5, 0.5 / 1.2),  # It moves too far.
+  ],
+)
+def test_learning_rate_follows_the_divergence(
+  rate: float, expected: float
+) -> None:
+  learner = _learner(
+    learning_rate=rate, min_learning_rate=1e-7, max_learning_rate=1.0
+  )
+  metrics = learner.step(_rollouts(learner.network))
+  assert metrics['learning_rate'] == pytest.approx(expected)
+  assert (metrics['kl'] > 2 * _CONFIG.target_kl) == (rate > 0.1)
+
+
+@pytest.mark.parametrize(
+  'changes',
+  [
+    {'learning_rate': 1e-6, 'max_learning_rate': 1e-6},
+    {'learning_rate': 0.5, 'min_learning_rate': 0.5},
+    {'learning_rate': 0.5, 'target_kl': 0.0},
+    {'learning_rate': 1e-6, 'target_kl': 0.0},
+  ],
+)
+def test_learning_rate_stays(changes: dict[str, float]) -> None:
+  bounds = {'min_learning_rate': 1e-7, 'max_learning_rate': 1.0}
+  learner = _learner(**{**bounds, **changes})
+  learner.step(_rollouts(learner.network))
+  assert learner.learning_rate == changes['learning_rate']
+
+
+def test_adapted_learning_rate_reaches_the_optimiser() -> None:
+  learner = _learner()
+  state = learner.state()
+  state['learning_rate'] = torch.tensor(1e-12, dtype=torch.float64)
+  learner.restore(state)
+  learner.step(_rollouts(learner.network))
+  after = learner.state()
+  for key, value in state.items():
+    if key.startswith('network/') and 'normaliser' not in key:
+      torch.testing.assert_close(after[key], value, atol=1e-9, rtol=1e-6)
+
+
+def test_gradient_clipping() -> None:
+  rollouts = _rollouts(_network())
+  rollouts.rewards.mul_(1e4)
+  learner = _learner(max_gradient_norm=1e-6, target_kl=0.0)
+  before = learner.state()
+  assert learner.step(rollouts)['gradient_norm'] > 1.0
+  # Adam's eps of 1e-5 outweighs such a gradient.
+  moved = learner.state()['network/value.0.weight']
+  difference = (moved - before['network/value.0.weight']).abs().max()
+  assert 0 < difference < 0.2 * 16 * _CONFIG.learning_rate
+
+
+def test_normaliser_takes_in_every_step_once() -> None:
+  learner = _learner()
+  rollouts = _rollouts(learner.network)
+  learner.step(rollouts)
+  flat = rollouts.observations.flatten(0, 1)
+  normaliser = learner.network.normaliser
+  assert normaliser.count == _T * _B
+  torch.testing.assert_close(normaliser.mean, flat.mean(dim=0))
+
+
+# What is not finite.
+
+
+@pytest.mark.parametrize(
+  'field',
+  [name for name in learning.Rollouts._fields if name != 'last'],
+)
+@pytest.mark.parametrize('value', [math.nan, math.inf])
+def test_rollouts_that_are_not_finite(field: str, value: float) -> None:
+  learner = _learner()
+  learner.step(_rollouts(learner.network))
+  before = learner.state()
+  rollouts = _rollouts(learner.network, seed=1)
+  getattr(rollouts, field)[2, 3] = value
+  with pytest.raises(FloatingPointError, match='checkpoint'):
+    learner.step(rollouts)
+  assert _same(learner.state(), before)
+
+
+@pytest.mark.parametrize('warm', [False, True])
+def test_update_that_is_not_finite_is_undone(warm: bool) -> None:
+  learner, twin = _learner(minibatches=8), _learner(minibatches=8)
+  if warm:
+    learner.step(_rollouts(learner.network))
+    twin.step(_rollouts(twin.network))
+  before = learner.state()
+  rollouts = _rollouts(learner.network, seed=1)
+  # Overflows in the one minibatch that it falls into, after some others.
+  rollouts.rewards[2, 3] = 1e38
+  with pytest.raises(FloatingPointError, match='gradient'):
+    learner.step(rollouts)
+  assert _same(learner.state(), before)
+  rollouts = _rollouts(learner.network, seed=2)
+  assert learner.step(rollouts) == twin.step(rollouts)
+  assert _same(learner.state(), twin.state())
+
+
+# Ends of episodes. With one minibatch and one epoch, the value loss is that of
+# the network before the update: the mean square of the advantages.
+
+
+def _value_loss(
+  network: networks.ActorCritic, data: learning.Rollouts
+) -> float:
+  config = dataclasses.replace(_CONFIG, epochs=1, minibatches=1)
+  learner = learning.PPOLearner(network, config, seed=0)
+  return learner.step(data)['loss/value']
+
+
+@torch.no_grad()
+def _expected_value_loss(
+  network: networks.ActorCritic, data: learning.Rollouts
+) -> float:
+  """The same by a plain loop, in float64."""
+  gamma, flow = _CONFIG.discount, _CONFIG.gae_lambda
+  value = lambda seen: network.value(network.normaliser(seen)).item()
+  total = 0.0
+  for world in range(_B):
+    running = 0.0
+    for t in reversed(range(_T)):
+      ended = bool(data.last[t, world])
+      seen_next = (
+        data.next_observations[t, world]
+        if ended or t == _T - 1
+        else data.observations[t + 1, world]
+      )
+      discount = gamma * data.discounts[t, world].item()
+      delta = (
+        (1 - gamma) * data.rewards[t, world].item()
+        + discount * value(seen_next)
+        - value(data.observations[t, world])
+      )
+      running = delta + discount * flow * (0.0 if ended else running)
+      total += running**2
+  return total / (_T * _B)
+
+
+def test_timeouts_are_bootstrapped_from_what_was_seen_last() -> None:
+  data = _rollouts(_network())
+  timed_out = data.last & (data.discounts > 0)
+  assert timed_out[:-1].any() and (data.last & ~timed_out).any()
+  expected = _expected_value_loss(_network(), data)
+  assert _value_loss(_network(), data) == pytest.approx(expected, rel=1e-4)
+
+  def changed(where: torch.Tensor) -> bool:
+    seen = data.next_observations.clone()
+    seen[where] += 3.0
+    other = data._replace(next_observations=seen)
+    return _value_loss(_network(), other) != pytest.approx(expected, rel=1e-4)
+
+  inner = torch.arange(_T)[:, None] < _T - 1
+  assert changed(timed_out & inner)
+  assert not changed(data.last & ~timed_out)
+  assert not changed(~data.last & inner)  # There it is the next observation.
+
+
+# State.
+
+
+def test_restored_learner_goes_on_exactly() -> None:
+  learner = _learner()
+  for seed in range(3):
+    learner.step(_rollouts(learner.network, seed))
+  state = learner.state()
+  copied = {key: value.clone() for key, value in state.items()}
+  other = _learner()
+  other.step(_rollouts(other.network, seed=9))
+  other.restore(state)
+  assert _same(other.state(), copied)
+  for seed in (4, 5):
+    rollouts = _rollouts(learner.network, seed)
+    assert learner.step(rollouts) == other.step(rollouts)
+  assert _same(learner.state(), other.state())
+  assert _same(state, copied)  # Neither of the two wrote into it.
+
+
+def test_restored_actor_goes_on_exactly() -> None:
+  network = _network()
+  actor, other = (
+    acting.BatchedActor(network, 0),
+    acting.BatchedActor(network, 1),
+  )
+  seen = torch.ones(_B, _D)
+  actor.sample(seen)
+  other.restore(actor.state())
+  assert all(map(torch.equal, actor.sample(seen), other.sample(seen)))
+
+
+def test_state_of_another_network() -> None:
+  state = _learner().state()
+  other = _learner(hidden_sizes=(8,))
+  with pytest.raises(ValueError, match='another network') as error:
+    other.restore(state)
+  assert '\n' not in str(error.value)
+
+
+def test_acting() -> None:
+  network = _network()
+  actor = acting.BatchedActor(network, 0)
+  seen = torch.randn(2000, _D, generator=torch.Generator().manual_seed(0))
+  sample = actor.sample(seen)
+  noise = (sample.action - sample.mean) / network.std
+  assert abs(noise.mean().item()) < 0.05
+  assert noise.std().item() == pytest.approx(1.0, abs=0.05)
+  expected = networks.log_prob(sample.action, sample.mean, network.std)
+  torch.testing.assert_close(sample.log_prob, expected)
+  np.testing.assert_array_equal(actor.select_action(seen.numpy()), sample.mean)
+
+
+@pytest.mark.parametrize(
+  ('changes', 'message'),
+  [
+    ({'rollout_length': 0}, 'rollout_length'),
+    ({'clip': -0.2}, 'clip'),
+    ({'learning_rate': math.nan}, 'learning_rate'),
+    ({'initial_std': math.inf}, 'initial_std'),
+    ({'discount': 1.0}, 'discount'),
+    ({'discount': math.nan}, 'discount'),
+    ({'gae_lambda': 1.1}, 'gae_lambda'),
+    ({'entropy_coefficient': -0.1}, 'entropy_coefficient'),
+    ({'value_coefficient': math.nan}, 'value_coefficient'),
+    ({'target_kl': -0.01}, 'target_kl'),
+    ({'anneal_start': -1}, 'anneal_start'),
+    ({'anneal_start': 2, 'anneal_end': 1}, 'anneal_end'),
+    ({'hidden_sizes': ()}, 'hidden_sizes'),
+    ({'hidden_sizes': (16, 0)}, 'hidden_sizes'),
+    ({'symmetry': 'both'}, 'symmetry'),
+  ],
+)
+def test_config_rejects(changes: dict[str, Any], message: str) -> None:
+  with pytest.raises(ValueError, match=message):
+    config_lib.PPOConfig(**changes)
+
+
+def test_symmetry_needs_a_mirror() -> None:
+  with pytest.raises(ValueError, match='mirror'):
+    _learner(symmetry='augment')
+
+
+# Symmetry.
+
+
+def _toy_mirror() -> symmetry.Mirror:
+  """Of [clock, clock, latent, x] and one action: x and the action change sign.
+
+  The first two modes are each other's image, the third is its own.
+  """
+  image = mirror_lib.MirrorImage(
+    observation_order=np.arange(4),
+    observation_signs=np.array([1, 1, 1, -1], np.float32),
+    action_order=np.zeros(1, int),
+    action_signs=-np.ones(1, np.float32),
+    mirrored_modes=np.array([1, 0, 2]),
+    clock_signs=np.array([1, 1, -1], np.float32),
+  )
+  return symmetry.Mirror(image, np.array([[-1.0], [1.0], [0.0]], np.float32))
+
+
+def test_toy_mirror_by_hand() -> None:
+  mirror = _toy_mirror()
+  seen = torch.tensor([[0.1, 0.2, -1.0, 3.0], [0.1, 0.2, 0.0, 3.0]])
+  expected = [[0.1, 0.2, 1.0, -3.0], [-0.1, -0.2, 0.0, -3.0]]
+  assert torch.equal(mirror.observations(seen), torch.tensor(expected))
+  assert mirror.actions(torch.tensor([[2.0]])) == -2.0
+
+
+def _only_left(rng: np.random.RandomState, count: int) -> np.ndarray:
+  """The first mode alone, with positive x."""
+  clock = rng.uniform(-1, 1, (count, 2))
+  x = rng.uniform(0.5, 1.0, (count, 1))
+  return np.concatenate([clock, -np.ones((count, 1)), x], axis=1)
+
+
+@pytest.mark.parametrize('kind', ['none', 'augment'])
+def test_mirror_images_teach_the_other_side(kind: str) -> None:
+  target = lambda seen: np.full((len(seen), 1), 0.4)
+  environment = toy.TargetEnvironment(16, target, _only_left)
+  mirror = _toy_mirror()
+  config = dataclasses.replace(
+    _CONFIG,
+    rollout_length=16,
+    minibatches=2,
+    learning_rate=2e-3,
+    target_kl=0.03,
+    symmetry=kind,
+  )
+  network = _reach(environment, config, 40, mirror)
+  seen = torch.from_numpy(environment.reset())
+  with torch.no_grad():
+    here = network.act(seen)
+    there = mirror.actions(network.act(mirror.observations(seen)))
+  assert (here - 0.4).abs().mean() < 0.15
+  error = (there - 0.4).abs().mean()
+  assert (error < 0.15) == (kind == 'augment')
+
+
+@pytest.mark.parametrize('kind', ['none', 'augment'])
+def test_augmented_gradient_is_symmetric(kind: str) -> None:
+  """A policy that is symmetric stays so, whatever it is taught."""
+  mirror = _toy_mirror()
+  config = dataclasses.replace(_CONFIG, symmetry=kind, minibatches=1, epochs=1)
+  network = networks.ActorCritic(4, 1, (8,))
+  first, second = networks.linears_of(network.policy)
+  with torch.no_grad():
+    # Units in pairs of opposite signs, and no biases: an odd function of x.
+    first.weight.zero_()
+    first.weight[:, 3] = torch.linspace(-1, 1, 8)
+    second.weight[:] = torch.linspace(-1, 1, 8)
+    second.bias.zero_()
+  draw = lambda rng, count: _only_left(rng, count)
+  environment = toy.TargetEnvironment(64, lambda seen: seen[:, 3:], draw)
+  seen = torch.from_numpy(environment.reset())
+  sample = acting.BatchedActor(network, 0).sample(seen)
+  step = environment.step(sample.action.numpy())
+  flags = torch.ones(1, 64, dtype=torch.bool)
+  data = learning.Rollouts(
+    seen[None],
+    sample.action[None],
+    sample.log_prob[None],
+    sample.mean[None],
+    torch.from_numpy(step.reward).float()[None],
+    torch.ones(1, 64),
+    flags,
+    seen[None],
+  )
+  learning.PPOLearner(network, config, 0, mirror).step(data)
+  # The running mean is that of the samples alone: it is not symmetric.
+  identity = networks.Normaliser(4).state_dict()
+  network.normaliser.load_state_dict(identity)
+  with torch.no_grad():
+    moved = network.act(seen) - sample.mean
+    image = mirror.actions(network.act(mirror.observations(seen)))
+  assert moved.abs().mean() > 1e-3
+  difference = (network.act(seen) - image).abs().max().item()
+  assert (difference < 1e-4) == (kind == 'augment')
+
+
+# The biped. Worlds of the second half are mirror images of the first.
+
+
+class _Mirrored:
+  """Every mode of pi1, and its mirror image in a world of its own."""
+
+  def __init__(self) -> None:
+    motions = library.resolve('pi1')
+    self.names = [motion.name for motion in motions]
+    count = len(motions)
+    task = multimode_biped.make_task(
+      motions,
+      episodes=episodes.ScheduledEpisodes(
+        schedule.single(np.tile(np.arange(count), 2))
+      ),
+    )
+    self.environment = batched.BatchedImitation(
+      task, 2 * count, 0, num_threads=1, auto_reset=False
+    )
+    self.ones, self.images = np.arange(2 * count).reshape(2, count)
+    self.image = self.environment.mirror_image()
+    self.mirror = symmetry.Mirror(self.image, task.codebook.latents)
+    self._random_state = np.random.RandomState(1)
+
+  def actions(self, count: int) -> np.ndarray:
+    noise = self._random_state.standard_normal((count, 10))
+    return self.environment.standing_action() + 0.2 * noise
+
+  def step(self) -> batched.BatchedTimeStep:
+    """One step of both halves under mirrored actions."""
+    actions = self.actions(len(self.ones))
+    images = self.mirror.actions(torch.from_numpy(actions)).numpy()
+    return self.environment.step(np.concatenate([actions, images]))
+
+  def mirror_state(self) -> None:
+    """Overwrites the second half by the mirror image of the first."""
+    environment, ones, images = self.environment, self.ones, self.images
+    tracked = environment.core.tracker.state
+    tracked.mode[images] = self.image.mirrored_modes
+    shift = np.where(self.image.clock_signs < 0, 0.5, 0.0)
+    tracked.phase[images] = (tracked.phase[ones] + shift) % 1.0
+    reference = environment.core.tracker.reference().position
+    tracked.anchor[images] += reference[ones] * (1, -1, 1) - reference[images]
+    legs = np.roll(np.arange(10), 5)
+    qpos, qvel = environment.qpos, environment.qvel
+    qpos[images] = qpos[ones]
+    qpos[images, :7] *= (1, -1, 1, 1, -1, 1, -1)
+    qpos[images, 7:] = qpos[ones, 7:][:, legs]
+    qvel[images] = qvel[ones]
+    qvel[images, :6] *= (1, -1, 1, -1, 1, -1)
+    qvel[images, 6:] = qvel[ones, 6:][:, legs]
+
+
+@pytest.fixture(scope='module')
+def mirrored() -> _Mirrored:
+  return _Mirrored()
+
+
+def test_mirror_image_of_real_observations(mirrored: _Mirrored) -> None:
+  seen = [mirrored.environment.reset()]
+  for _ in range(5):
+    step = mirrored.environment.step(mirrored.actions(2 * len(mirrored.ones)))
+    seen.append(step.observation)
+  modes = np.tile(np.arange(len(mirrored.names)), 2 * len(seen))
+  observations = torch.from_numpy(np.concatenate(seen))
+  image = mirrored.mirror.observations(observations)
+  assert torch.equal(mirrored.mirror.observations(image), observations)
+  assert not torch.equal(image, observations)
+  actions = torch.from_numpy(mirrored.actions(4))
+  twice = mirrored.mirror.actions(mirrored.mirror.actions(actions))
+  assert torch.equal(twice, actions)
+
+  latents = torch.tensor(mirrored.environment.codebook.latents)
+  exchanged = {'left': 'right', 'right': 'left'}
+  for i, name in enumerate(mirrored.names):
+    kind, _, side = name.partition('_')
+    opposite = '_'.join(filter(None, (kind, exchanged.get(side, side))))
+    mine = torch.from_numpy(modes == i)
+    expected = latents[mirrored.names.index(opposite)]
+    assert (image[mine, 2:6] == expected).all(), name
+    sign = -1.0 if kind in ('walk', 'idle') else 1.0
+    assert torch.equal(image[mine, :2], sign * observations[mine, :2]), name
+  assert (image[:, 7] >= 0).all()  # Quaternions keep w >= 0.
+
+
+def test_mirrored_physics_are_the_same(mirrored: _Mirrored) -> None:
+  mirrored.environment.reset()
+  for _ in range(7):
+    mirrored.environment.step(mirrored.actions(2 * len(mirrored.ones)))
+  mirrored.mirror_state()
+  feet = []
+  for _ in range(6):
+    step = mirrored.step()
+    seen = torch.from_numpy(step.observation)
+    torch.testing.assert_close(
+      mirrored.mirror.observations(seen[mirrored.ones]),
+      seen[mirrored.images],
+      atol=1e-5,
+      rtol=1e-5,
+    )
+    np.testing.assert_allclose(
+      step.reward[mirrored.ones], step.reward[mirrored.images], atol=1e-9
+    )
+    feet.append(mirrored.environment.feet_contact())
+    np.testing.assert_array_equal(
+      feet[-1][mirrored.ones], feet[-1][mirrored.images][:, ::-1]
+    )
+  # The halves are not alike by being symmetric, each for itself.
+  assert np.concatenate(feet).std() > 0
+  assert not torch.allclose(seen[mirrored.ones], seen[mirrored.images])
+
+
+def test_set_without_a_mirror_image() -> None:
+  motions = library.resolve('idle,walk_left')
+  book = multimode_biped.library_codebook().subset(['idle', 'walk_left'])
+  with pytest.raises(ValueError, match='walk_right'):
+    mirror_lib.mirror_image(motions, book)

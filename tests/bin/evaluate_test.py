@@ -1,0 +1,149 @@
+"""Tests of dmc_multimode.bin.evaluate."""
+
+import itertools
+import json
+import pathlib
+from typing import Iterator
+
+import numpy as np
+import pytest
+
+from dmc_multimode import pretrained
+from dmc_multimode.agents.ppo import networks
+from dmc_multimode.modes import codebook
+from dmc_multimode.modes import library
+from dmc_multimode.suite import config
+from dmc_multimode.suite import observations
+from tests.bin import processes
+
+_MODES = ('idle', 'walk_forward')
+# The first model costs seconds.
+_WARM_UP = """
+from dmc_multimode.suite import batched, multimode_biped
+from dmc_multimode.modes import library
+batched._compile(multimode_biped.make_task(library.resolve('idle')))
+"""
+
+
+@pytest.fixture(scope='module')
+def evaluate(
+  tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[processes.Binary]:
+  folder = tmp_path_factory.mktemp('output')
+  binary = processes.Binary('evaluate', folder, _WARM_UP)
+  yield binary
+  binary.close()
+
+
+@pytest.fixture(scope='module')
+def policy(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
+  """The folder of an untrained policy, for episodes of 0.6 seconds."""
+  motions = library.resolve(_MODES)
+  book = codebook.one_hot(motions)
+  size = 2 + book.latent_dim + observations.STATE_SIZE
+  network = networks.ActorCritic(size, observations.NUM_JOINTS, (8,))
+  folder = tmp_path_factory.mktemp('policy')
+  task = config.ImitationConfig(time_limit=0.6)
+  provenance = {'steps': 12}
+  pretrained.Policy(network, (8,), motions, book, task, provenance).save(folder)
+  return folder
+
+
+def test_report(
+  evaluate: processes.Binary, policy: pathlib.Path, tmp_path: pathlib.Path
+) -> None:
+  one, two = tmp_path / 'new' / 'one.json', tmp_path / 'two.json'
+  flags = f'--policy={policy}', '--episodes=1'
+  done = evaluate(*flags, f'--out={one}')
+  assert done.code == 0, done.stderr
+  assert done.stdout.splitlines()[-1] == f'The report is in {one}'
+  assert evaluate(*flags, f'--out={two}').code == 0
+  assert one.read_bytes() == two.read_bytes()
+
+  report = json.loads(one.read_text())
+  assert tuple(report['modes']) == _MODES
+  pairs = [f'{a}->{b}' for a, b in itertools.product(_MODES, _MODES)]
+  assert list(report['transitions']) == pairs
+  for row in report['modes'].values():
+    assert {'mra', 'survival', 'velocity', 'rise'} <= row.keys()
+    assert all(np.isfinite(value) for value in row.values())
+  for row in report['transitions'].values():
+    assert row.keys() == {'mra', 'survival'}
+  for kind in ('modes', 'transitions'):
+    values = [row['mra'] for row in report[kind].values()]
+    summary = report[f'mra_{kind}']
+    assert summary.keys() == {'mean', 'std'}
+    assert summary['mean'] == pytest.approx(np.mean(values))
+    assert summary['std'] == pytest.approx(np.std(values))
+    assert 0 < min(values) <= max(values) < 1
+  assert report['provenance']['steps'] == 12
+  assert report['task']['reference_starts'] == report['task']['edge_noise'] == 0
+  for name in (*_MODES, *pairs):
+    assert name in done.stdout
+
+
+def test_what_changes_the_figures(
+  evaluate: processes.Binary, policy: pathlib.Path, tmp_path: pathlib.Path
+) -> None:
+  reports = {}
+  for flag in ('seed=0', 'seed=1', 'physics_timestep=0.003', 'clock_rate=1.5'):
+    out = tmp_path / 'report.json'
+    done = evaluate(
+      f'--policy={policy}', '--episodes=1', f'--out={out}', f'--{flag}'
+    )
+    assert done.code == 0, done.stderr
+    reports[flag] = json.loads(out.read_text())
+  assert reports['physics_timestep=0.003']['task']['physics_timestep'] == 0.003
+  figures = [
+    report['modes']['walk_forward']['mra'] for report in reports.values()
+  ]
+  assert len(set(figures)) == len(reports)
+
+
+@pytest.mark.parametrize(
+  ('flags', 'message'),
+  [
+    (['--policy=fly'], "'fly'"),
+    (['--policy={tmp}'], 'policy.json'),
+    (['--policy={tmp}/absent'], 'absent'),
+    (['--policy={tmp}/damaged'], 'damaged'),
+    (['--episodes=0'], 'episodes'),
+    (['--episodes=-2'], 'episodes'),
+    (['--physics_timestep=0.007'], 'physics_timestep'),
+    (['--physics_timestep=-1'], 'physics_timestep'),
+    (['--physics_timestep=0'], 'physics_timestep'),
+    (['--clock_rate=0'], 'rates must be positive'),
+    (['--clock_rate=nan'], 'rates must be positive'),
+    (['--seed=-1'], 'Seed'),
+    (['--out={tmp}'], 'folder'),
+    (['--out={tmp}/file/report.json'], 'file'),
+    (['walk_forward'], "'walk_forward'"),
+  ],
+  ids=lambda value: value if isinstance(value, str) else ' '.join(value),
+)
+def test_bad_input(
+  evaluate: processes.Binary,
+  policy: pathlib.Path,
+  tmp_path: pathlib.Path,
+  flags: list[str],
+  message: str,
+) -> None:
+  (tmp_path / 'file').touch()
+  (tmp_path / 'damaged').mkdir()
+  (tmp_path / 'damaged' / 'policy.json').write_text('{"format"')
+  before = sorted(tmp_path.rglob('*'))
+  done = evaluate(
+    f'--policy={policy}',
+    f'--out={tmp_path / "new" / "report.json"}',
+    *(flag.format(tmp=tmp_path) for flag in flags),
+  )
+  assert done.code == 2, done.stderr
+  assert message in done.error
+  assert not done.stdout
+  assert sorted(tmp_path.rglob('*')) == before
+
+
+def test_policy_is_required(evaluate: processes.Binary) -> None:
+  done = evaluate()
+  assert done.code == 1
+  assert '--policy' in done.stderr and 'Traceback' not in done.stderr

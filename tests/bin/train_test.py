@@ -1,0 +1,414 @@
+"""Tests of dmc_multimode.bin.train."""
+
+import csv
+import json
+import pathlib
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from typing import Any, Callable, Iterator
+
+import pytest
+from tensorboard.backend.event_processing import event_accumulator
+import torch
+
+from dmc_multimode import pretrained
+from dmc_multimode.agents import checkpointing
+from dmc_multimode.bin import run_setup
+from tests.bin import processes
+
+_ROOT = pathlib.Path(__file__).parents[2]
+_ITERATION = 8 * 4  # Control steps.
+_TINY = (
+  '--num_worlds=8',
+  '--ppo_rollout_length=4',
+  '--ppo_hidden_sizes=16',
+  '--modes=idle,walk_forward',
+  '--one_hot',
+  '--threads=1',
+)
+_ROW_EVERY = 5 * _ITERATION  # Between rows of the logs.
+_STEPS = 12 * _ITERATION  # Two rows, and some steps that no row tells of.
+# A checkpoint after every iteration; stalls with the eighth rollout at hand.
+_STALLING = """
+import functools, time
+binary.training.TrainingConfig = functools.partial(
+  binary.training.TrainingConfig, checkpoint_seconds=1e-9
+)
+loop = binary.training.TrainingLoop
+collect = loop._collect
+loop._collect = lambda self: (
+  collect(self), self.iterations == 8 and time.sleep(300)
+)
+"""
+# What is imported late, and what the first model costs.
+_WARM_UP = """
+import torch
+from torch.utils import tensorboard
+torch.optim.Adam([torch.zeros(1)])
+from dmc_multimode.modes import library
+from dmc_multimode.suite import batched, multimode_biped
+batched._compile(multimode_biped.make_task(library.resolve('idle')))
+"""
+
+_BAD_MODE = """\
+name: wait
+kind: steady
+duration: -1
+keyframes: [{phase: 0, position: [0, 0, 1]}, {phase: 1, position: [0, 0, 1]}]
+"""
+
+_Files = dict[str, bytes]
+
+
+@pytest.fixture(scope='module')
+def train(
+  tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[processes.Binary]:
+  binary = processes.Binary(
+    'train', tmp_path_factory.mktemp('output'), _WARM_UP
+  )
+  yield binary
+  binary.close()
+
+
+@pytest.fixture(scope='module')
+def run_dir(
+  train: processes.Binary, tmp_path_factory: pytest.TempPathFactory
+) -> pathlib.Path:
+  """A run that nothing has interrupted; not to be written to."""
+  folder = tmp_path_factory.mktemp('runs') / 'whole'
+  done = train(f'--run_dir={folder}', *_TINY, f'--steps={_STEPS}')
+  assert done.code == 0, done.stderr
+  (line,) = done.stdout.splitlines()
+  assert line == f'{_STEPS:,} steps; the policy is in {folder / "policy"}'
+  for shown in (f'/{_STEPS} ', 'steps/s=', 'MRA=', 'survival=', 'lr='):
+    assert shown in done.stderr  # The progress line.
+  assert 'error' not in done.stderr and 'Traceback' not in done.stderr
+  return folder
+
+
+def _files(folder: pathlib.Path) -> _Files:
+  return {
+    str(path.relative_to(folder)): path.read_bytes() if path.is_file() else b''
+    for path in folder.rglob('*')
+  }
+
+
+def _rows(folder: pathlib.Path) -> list[dict[str, str]]:
+  with open(folder / 'metrics.csv', newline='', encoding='utf-8') as file:
+    return list(csv.DictReader(file))
+
+
+def _wait_for(condition: Callable[[], Any]) -> None:
+  deadline = time.monotonic() + 300
+  while not condition():
+    assert time.monotonic() < deadline
+    time.sleep(0.01)
+
+
+def test_folder_of_a_run(run_dir: pathlib.Path) -> None:
+  found = {name.partition('/')[0] for name in _files(run_dir)}
+  expected = {
+    run_setup.CONFIG_FILE,
+    checkpointing.NAME,
+    'policy',
+    'metrics.csv',
+    'tensorboard',
+  }
+  assert found == expected
+  config, motions, book = run_setup.load_run(run_dir)
+  assert (config.num_worlds, config.threads, config.one_hot) == (8, 1, True)
+  assert config.ppo.hidden_sizes == (16,)
+  assert [motion.name for motion in motions] == ['idle', 'walk_forward']
+  assert book.latents.tolist() == [[1, 0], [0, 1]]
+  policy = pretrained.load(run_dir)
+  assert policy.provenance['steps'] == _STEPS
+  assert policy.codebook.names == ('idle', 'walk_forward')
+  json.dumps(dict(policy.provenance))
+
+
+def test_metrics_of_every_mode(run_dir: pathlib.Path) -> None:
+  rows = _rows(run_dir)
+  steps = [_ROW_EVERY, 2 * _ROW_EVERY]
+  assert [int(row['steps']) for row in rows] == steps
+  (folder,) = (run_dir / 'tensorboard').glob('*')
+  events = event_accumulator.EventAccumulator(str(folder))
+  events.Reload()
+  names = ['idle', 'walk_forward']
+  names += ['idle->walk_forward', 'walk_forward->idle']
+  for name in names:
+    for kind in ('return', 'survival', 'p'):
+      key = f'{kind}/{name}'
+      scalars = events.Scalars(key)
+      assert [event.step for event in scalars] == steps
+      for event, row in zip(scalars, rows, strict=True):
+        assert float(row[key]) == pytest.approx(event.value, rel=1e-4)
+        assert 0 <= event.value <= 1
+  for row in rows:
+    both = float(row['p/idle']) + float(row['p/walk_forward'])
+    assert both == pytest.approx(1.0, rel=1e-4)
+
+
+def test_killed_run_goes_on_bit_for_bit(
+  train: processes.Binary, run_dir: pathlib.Path, tmp_path: pathlib.Path
+) -> None:
+  folder = tmp_path / 'killed'
+  flags = f'--run_dir={folder}', f'--steps={_STEPS}'
+  process = train.start(*flags, *_TINY, before=_STALLING)
+  # A row is written, and the next iterations are under way.
+  _wait_for(lambda: (folder / 'metrics.csv').exists() and _rows(folder))
+  _wait_for((folder / checkpointing.PREVIOUS).exists)
+  processes.send(process, signal.SIGKILL)
+  assert train.wait().code == -signal.SIGKILL
+
+  done = train(*flags, '--resume')
+  assert done.code == 0, done.stderr
+  assert 'Resuming' in done.stdout
+  for name in ('policy/policy.safetensors', checkpointing.NAME):
+    expected, _ = checkpointing.load_tensors(run_dir / name)
+    found, _ = checkpointing.load_tensors(folder / name)
+    assert expected.keys() == found.keys()
+    for key, value in expected.items():
+      assert torch.equal(value, found[key]), key
+  speed = {'steps_per_second': ''}
+  rows = [{**row, **speed} for row in _rows(folder)]
+  assert rows == [{**row, **speed} for row in _rows(run_dir)]
+
+
+def test_run_goes_on_to_more_steps(
+  train: processes.Binary, run_dir: pathlib.Path, tmp_path: pathlib.Path
+) -> None:
+  """In two parts, of which the first ends in between two rows."""
+  folder = tmp_path / 'parts'
+  flag = f'--run_dir={folder}'
+  assert train(flag, *_TINY, f'--steps={3 * _ITERATION}').code == 0
+  # Flags that say the same again are no contradiction.
+  done = train(flag, '--resume', *_TINY, f'--steps={_STEPS}')
+  assert f'Resuming at {3 * _ITERATION:,} steps.' in done.stdout
+  expected, _ = checkpointing.load_tensors(run_dir / checkpointing.NAME)
+  found, _ = checkpointing.load_tensors(folder / checkpointing.NAME)
+  assert all(torch.equal(expected[key], found[key]) for key in expected)
+
+
+def test_interrupt_stops_with_a_checkpoint(tmp_path: pathlib.Path) -> None:
+  """As `python -m`, in a terminal."""
+  folder = tmp_path / 'interrupted'
+  process = subprocess.Popen(
+    [
+      sys.executable,
+      '-m',
+      'dmc_multimode.bin.train',
+      f'--run_dir={folder}',
+      *_TINY,
+      '--steps=1000000',
+    ],
+    stdout=subprocess.PIPE,
+    stderr=subprocess.PIPE,
+    text=True,
+    cwd=_ROOT,
+  )
+  try:
+    _wait_for(lambda: (folder / 'metrics.csv').exists() and _rows(folder))
+    process.send_signal(signal.SIGINT)
+    stdout, stderr = process.communicate(timeout=300)
+  finally:
+    process.kill()
+  assert process.returncode == 0, stderr
+  assert 'Traceback' not in stderr
+  assert f'the policy is in {folder / "policy"}' in stdout
+  _, values, note = checkpointing.Checkpointer(folder).load()
+  assert not note and values['steps'] >= _ROW_EVERY
+  assert pretrained.load(folder).provenance['steps'] == values['steps']
+
+
+# Bad input. Nothing is left behind, and a run that is there stays as it was.
+
+
+@pytest.mark.parametrize(
+  ('flags', 'message'),
+  [
+    (['--modes=idle,fly'], 'fly'),
+    (['--modes='], 'Unknown mode'),
+    (['--modes=idle,idle'], 'unique'),
+    (['--mode_file={tmp}/absent.yaml'], 'absent.yaml'),
+    (['--mode_file={tmp}/bad.yaml'], 'bad.yaml:3:'),
+    (['--mode_file={tmp}'], 'cannot be read'),
+    (['--encoder={tmp}/absent', '--noone_hot'], 'absent'),
+    (['--steps=0'], 'steps'),
+    (['--steps=-32'], 'steps'),
+    (['--minutes=0'], 'minutes'),
+    (['--minutes=nan'], 'minutes'),
+    (['--num_worlds=0'], 'num_worlds'),
+    (['--threads=-1'], 'threads'),
+    (['--seed=-1'], 'seed'),
+    (['--ppo_rollout_length=-4'], 'rollout_length'),
+    (['--ppo_hidden_sizes=16,-1'], 'hidden_sizes'),
+    (['--ppo_hidden_sizes=wide'], 'ppo_hidden_sizes'),
+    (['--ppo_discount=1.5'], 'discount'),
+    (['--ppo_target_kl=-1'], 'target_kl'),
+    (['--ppo_symmetry=both'], 'symmetry'),
+    (['--ppo_symmetry=augment', '--modes=walk_left'], 'walk_right'),
+    (['--sampling_epsilon=-1'], 'epsilon'),
+    (['--task_time_limit=-4.5'], 'time_limit'),
+    (['--task_physics_timestep=0.007'], 'physics_timestep'),
+    (['--run_dir={tmp}/file/below'], 'file'),
+    (['--run_dir={tmp}/file'], 'file'),
+    (['--resume'], 'without --resume'),
+    (['--run_dir='], '--run_dir must name'),
+    (['idle'], "'idle'"),
+  ],
+  ids=lambda value: value if isinstance(value, str) else ' '.join(value),
+)
+def test_bad_input(
+  train: processes.Binary,
+  tmp_path: pathlib.Path,
+  flags: list[str],
+  message: str,
+) -> None:
+  (tmp_path / 'file').touch()
+  (tmp_path / 'bad.yaml').write_text(_BAD_MODE)
+  before = _files(tmp_path)
+  done = train(
+    f'--run_dir={tmp_path / "run"}',
+    *_TINY,
+    '--steps=32',
+    *(flag.format(tmp=tmp_path) for flag in flags),
+  )
+  assert done.code == 2, done.stderr
+  assert message in done.error
+  assert not done.stdout
+  assert _files(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+  ('flags', 'message'),
+  [
+    (['--steps=many'], 'steps'),
+    (['--ppo_wings=2'], 'ppo_wings'),
+  ],
+)
+def test_flags_that_absl_refuses(
+  train: processes.Binary,
+  tmp_path: pathlib.Path,
+  flags: list[str],
+  message: str,
+) -> None:
+  done = train(f'--run_dir={tmp_path / "run"}', *_TINY, *flags)
+  assert done.code == 1
+  assert message in done.stderr
+  assert 'Traceback' not in done.stderr
+  assert not _files(tmp_path)
+
+
+def test_run_dir_is_required(train: processes.Binary) -> None:
+  done = train(*_TINY)
+  assert done.code == 1
+  assert '--run_dir' in done.stderr and 'Traceback' not in done.stderr
+
+
+@pytest.fixture
+def copy(run_dir: pathlib.Path, tmp_path: pathlib.Path) -> pathlib.Path:
+  """A run that may be damaged."""
+  folder = tmp_path / 'copy'
+  for name, content in _files(run_dir).items():
+    if content:
+      path = folder / name
+      path.parent.mkdir(parents=True, exist_ok=True)
+      path.write_bytes(content)
+  return folder
+
+
+@pytest.mark.parametrize(
+  ('flags', 'message'),
+  [
+    ([], 'already holds a run'),
+    (['--resume', '--num_worlds=16'], 'num_worlds'),
+    (['--resume', '--modes=idle'], 'modes'),
+    (['--resume', '--seed=3'], 'seed'),
+    (['--resume', '--threads=2'], 'threads'),
+    (['--resume', '--noone_hot'], 'one_hot'),
+    (['--resume', '--ppo_clip=0.1'], 'ppo'),
+    (['--resume', '--task_limits_distance=0.5'], 'task'),
+    (['--resume', '--nosampling_adaptive'], 'sampling'),
+  ],
+  ids=lambda value: value if isinstance(value, str) else ' '.join(value),
+)
+def test_another_run_than_that_of_the_folder(
+  train: processes.Binary,
+  copy: pathlib.Path,
+  flags: list[str],
+  message: str,
+) -> None:
+  before = _files(copy)
+  done = train(f'--run_dir={copy}', '--steps=100000', *flags)
+  assert done.code == 2
+  assert message in done.error
+  assert _files(copy) == before
+
+
+class _Planted:
+  def __init__(self, mark: pathlib.Path) -> None:
+    self._mark = mark
+
+  def __reduce__(self) -> tuple[Any, ...]:
+    return pathlib.Path.touch, (self._mark,)
+
+
+def _truncated(path: pathlib.Path) -> None:
+  path.write_bytes(path.read_bytes()[:-100])
+
+
+def _pickled(path: pathlib.Path) -> None:
+  path.write_bytes(pickle.dumps(_Planted(path.parent / 'ran')))
+
+
+def _without_the_actor(path: pathlib.Path) -> None:
+  tensors, values = checkpointing.load_tensors(path)
+  del tensors['actor/generator']
+  checkpointing.save_tensors(path, tensors, values)
+
+
+def _of_another_network(path: pathlib.Path) -> None:
+  tensors, values = checkpointing.load_tensors(path)
+  tensors['learner/network/policy.0.weight'] = torch.zeros(3, 3)
+  checkpointing.save_tensors(path, tensors, values)
+
+
+@pytest.mark.parametrize(
+  ('name', 'damage', 'message'),
+  [
+    (checkpointing.NAME, _truncated, 'truncated'),
+    (checkpointing.NAME, _pickled, 'was not written by'),
+    (checkpointing.NAME, _without_the_actor, 'generator'),
+    (checkpointing.NAME, _of_another_network, 'another network'),
+    (run_setup.CONFIG_FILE, _truncated, 'config.json is damaged'),
+    (run_setup.CONFIG_FILE, _pickled, 'config.json is damaged'),
+  ],
+)
+def test_damaged_run(
+  train: processes.Binary,
+  copy: pathlib.Path,
+  name: str,
+  damage: Callable[[pathlib.Path], None],
+  message: str,
+) -> None:
+  damage(copy / name)
+  before = _files(copy)
+  done = train(f'--run_dir={copy}', '--steps=100000', '--resume')
+  assert done.code == 2
+  assert message in done.error
+  assert _files(copy) == before  # Above all, the policy.
+
+
+def test_checkpoint_without_its_run_is_not_taken_over(
+  train: processes.Binary, copy: pathlib.Path
+) -> None:
+  (copy / run_setup.CONFIG_FILE).unlink()
+  before = _files(copy)
+  done = train(f'--run_dir={copy}', *_TINY, '--steps=100000')
+  assert done.code == 2
+  assert 'already holds a run' in done.error
+  assert _files(copy) == before

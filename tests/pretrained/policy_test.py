@@ -1,0 +1,299 @@
+"""Tests of dmc_multimode.pretrained.policy."""
+
+import json
+import pathlib
+import pickle
+from typing import Any, Callable
+
+import numpy as np
+import pytest
+from safetensors import torch as safetensors_torch
+import torch
+
+from dmc_multimode import pretrained
+from dmc_multimode.agents import checkpointing
+from dmc_multimode.agents.ppo import networks
+from dmc_multimode.modes import codebook
+from dmc_multimode.modes import library
+from dmc_multimode.pretrained import policy as policy_lib
+from dmc_multimode.suite import config
+from dmc_multimode.suite import observations
+
+_MODES = ('idle', 'walk_forward')
+_SIZE = 2 + 3 + observations.STATE_SIZE
+_ABSENT = object()
+
+
+def _policy() -> pretrained.Policy:
+  torch.manual_seed(0)
+  network = networks.ActorCritic(_SIZE, observations.NUM_JOINTS, (16, 8))
+  network.normaliser.update(torch.randn(50, _SIZE))
+  latents = np.array([[0.1, -1.0, 2.0], [1 / 3, 0.5, 0.0]], np.float32)
+  return pretrained.Policy(
+    network,
+    (16, 8),
+    library.resolve(_MODES),
+    codebook.Codebook(_MODES, latents),
+    config.ImitationConfig(time_limit=3.0),
+    {'steps': 12, 'run': {'seed': 3}},
+  )
+
+
+@pytest.fixture
+def folder(tmp_path: pathlib.Path) -> pathlib.Path:
+  """A saved policy."""
+  _policy().save(tmp_path / 'deep' / 'policy')
+  return tmp_path / 'deep' / 'policy'
+
+
+def _weights(folder: pathlib.Path) -> pathlib.Path:
+  return folder / policy_lib.WEIGHTS_FILE
+
+
+def _description(folder: pathlib.Path) -> pathlib.Path:
+  return folder / policy_lib.DESCRIPTION_FILE
+
+
+def _edit(folder: pathlib.Path, **changes: Any) -> None:
+  """Changes fields of the description."""
+  path = _description(folder)
+  content = {**json.loads(path.read_text()), **changes}
+  content = {k: v for k, v in content.items() if v is not _ABSENT}
+  path.write_text(json.dumps(content))
+
+
+def _refused(folder: pathlib.Path) -> str:
+  """The one line that loading a policy is refused with."""
+  with pytest.raises(ValueError) as caught:
+    pretrained.load(folder)
+  message = str(caught.value)
+  assert message and '\n' not in message
+  assert str(folder) in message
+  return message
+
+
+def test_round_trip(folder: pathlib.Path) -> None:
+  policy = _policy()
+  names = {path.name for path in folder.iterdir()}
+  assert names == {policy_lib.WEIGHTS_FILE, policy_lib.DESCRIPTION_FILE}
+  loaded = pretrained.load(folder)
+  assert loaded.hidden_sizes == (16, 8)
+  assert loaded.config == policy.config
+  assert loaded.codebook.names == _MODES
+  np.testing.assert_array_equal(
+    loaded.codebook.latents, policy.codebook.latents
+  )
+  for one, other in zip(loaded.motions, policy.motions, strict=True):
+    assert one.name == other.name
+    np.testing.assert_array_equal(one.positions, other.positions)
+  assert loaded.provenance['run'] == {'seed': 3}
+  assert {'steps', 'mujoco', 'torch'} <= loaded.provenance.keys()
+  assert loaded.metrics == {}
+  expected = policy.network.state_dict()
+  for key, value in loaded.network.state_dict().items():
+    assert torch.equal(value, expected[key]), key
+
+
+def test_acts_as_before(folder: pathlib.Path) -> None:
+  policy, loaded = _policy(), pretrained.load(folder)
+  seen = np.random.RandomState(0).randn(5, _SIZE).astype(np.float32)
+  expected = policy.select_action(seen)
+  assert expected.shape == (5, observations.NUM_JOINTS)
+  np.testing.assert_array_equal(loaded.select_action(seen), expected)
+  parts, start = {}, 0
+  for name, size in observations.layout(3):
+    parts[name] = seen[0, start : start + size].astype(np.float64)
+    start += size
+  action = loaded.actor.select_action(parts)
+  assert action.dtype == np.float64
+  np.testing.assert_allclose(action, expected[0], atol=1e-6)
+
+
+def test_folder_of_a_run(folder: pathlib.Path) -> None:
+  assert pretrained.load(str(folder.parent)).codebook.names == _MODES
+
+
+def test_metrics(folder: pathlib.Path) -> None:
+  (folder / policy_lib.METRICS_FILE).write_text('{"mra": 0.9}')
+  assert pretrained.load(folder).metrics == {'mra': 0.9}
+  (folder / policy_lib.METRICS_FILE).write_text('[0.9]')
+  assert policy_lib.METRICS_FILE in _refused(folder)
+
+
+def test_saved_again_in_place(folder: pathlib.Path) -> None:
+  policy = _policy()
+  with torch.no_grad():
+    policy.network.log_std.fill_(-1.5)
+  policy.save(folder)
+  assert (pretrained.load(folder).network.log_std == -1.5).all()
+  assert len(list(folder.iterdir())) == 2
+
+
+@pytest.mark.parametrize('name', ['fly', '../policy', 'library', ''])
+def test_unknown_name(name: str) -> None:
+  with pytest.raises(FileNotFoundError) as caught:
+    pretrained.load(name)
+  assert '\n' not in str(caught.value)
+
+
+def test_missing_folder_or_files(
+  folder: pathlib.Path, tmp_path: pathlib.Path
+) -> None:
+  with pytest.raises(FileNotFoundError, match='absent'):
+    pretrained.load(tmp_path / 'absent')
+  _weights(folder).unlink()
+  with pytest.raises(FileNotFoundError, match=policy_lib.WEIGHTS_FILE):
+    pretrained.load(folder)
+  _description(folder).unlink()
+  with pytest.raises(FileNotFoundError, match=policy_lib.DESCRIPTION_FILE):
+    pretrained.load(folder)
+
+
+# Weights.
+
+
+@pytest.mark.parametrize('kept', [0, 7, 500, -1])
+def test_truncated_weights(folder: pathlib.Path, kept: int) -> None:
+  path = _weights(folder)
+  path.write_bytes(path.read_bytes()[:kept])
+  assert 'truncated' in _refused(folder)
+
+
+def test_foreign_weights(folder: pathlib.Path) -> None:
+  weights = safetensors_torch.load(_weights(folder).read_bytes())
+  for metadata in (None, {'format': 'pt'}, {'json': '{}'}, {'json': '3'}):
+    _weights(folder).write_bytes(safetensors_torch.save(weights, metadata))
+    assert policy_lib.WEIGHTS_FILE in _refused(folder)
+
+
+def test_checkpoint_in_place_of_the_weights(folder: pathlib.Path) -> None:
+  checkpointing.Checkpointer(folder).save({'x': torch.zeros(3)}, {})
+  (folder / checkpointing.NAME).rename(_weights(folder))
+  assert 'does not hold the weights of a policy' in _refused(folder)
+
+
+@pytest.mark.parametrize('value', [np.nan, np.inf])
+@pytest.mark.parametrize('key', ['policy.0.bias', 'normaliser.mean'])
+def test_weights_that_are_not_finite(
+  folder: pathlib.Path, key: str, value: float
+) -> None:
+  weights, metadata = checkpointing.load_tensors(_weights(folder))
+  weights[key][1] = value
+  checkpointing.save_tensors(_weights(folder), weights, metadata)
+  assert 'not finite' in _refused(folder)
+
+
+@pytest.mark.parametrize('change', ['missing', 'further', 'shape'])
+def test_weights_of_another_network(folder: pathlib.Path, change: str) -> None:
+  weights, metadata = checkpointing.load_tensors(_weights(folder))
+  key = 'policy.0.bias'
+  if change == 'missing':
+    del weights[key]
+  elif change == 'further':
+    weights[key := 'policy.9.bias'] = torch.zeros(1)
+  else:
+    weights[key] = torch.zeros(17)
+  checkpointing.save_tensors(_weights(folder), weights, metadata)
+  assert key in _refused(folder)
+
+
+# The description.
+
+
+class _Planted:
+  def __init__(self, mark: pathlib.Path) -> None:
+    self._mark = mark
+
+  def __reduce__(self) -> tuple[Any, ...]:
+    return pathlib.Path.touch, (self._mark,)
+
+
+@pytest.mark.parametrize('find', [_weights, _description])
+@pytest.mark.parametrize('dump', [pickle.dump, torch.save])
+def test_pickle_is_not_run(
+  folder: pathlib.Path,
+  find: Callable[[pathlib.Path], pathlib.Path],
+  dump: Callable[..., None],
+) -> None:
+  mark = folder / 'ran'
+  with open(find(folder), 'wb') as file:
+    dump(_Planted(mark), file)
+  assert find(folder).name in _refused(folder)
+  assert not mark.exists()
+
+
+@pytest.mark.parametrize(
+  'latents',
+  [
+    [[0.1, -1.0], [0.3, 0.5]],
+    [[0.1, -1.0, 2.0, 0.0], [0.3, 0.5, 0.0, 1.0]],
+  ],
+)
+def test_wrong_latent_size(
+  folder: pathlib.Path, latents: list[list[float]]
+) -> None:
+  _edit(folder, latents=latents)
+  message = _refused(folder)
+  assert 'policy.0.weight' in message or 'normaliser' in message
+  assert 'other latents' in message
+
+
+@pytest.mark.parametrize(
+  ('changes', 'message'),
+  [
+    ({'latents': [[0.1, -1.0, 2.0]]}, '2 modes'),
+    ({'latents': [[0.1, -1.0, 2.0], [0.3]]}, 'damaged'),
+    ({'latents': [[0.1, -1.0, 2.0], [0.3, 0.5, float('nan')]]}, 'finite'),
+    ({'latents': 'abc'}, 'damaged'),
+    ({'latents': _ABSENT}, "'latents'"),
+    ({'modes': _ABSENT}, "'modes'"),
+    ({'modes': []}, 'at least one mode'),
+    ({'modes': ['idle', 'walk_forward']}, 'damaged'),
+    ({'modes': 3}, 'damaged'),
+    ({'task': _ABSENT}, "'task'"),
+    ({'task': {}}, 'task configuration'),
+    ({'task': 3}, 'damaged'),
+    ({'hidden_sizes': _ABSENT}, "'hidden_sizes'"),
+    ({'hidden_sizes': []}, 'out of bounds'),
+    ({'hidden_sizes': [16, 0]}, 'out of bounds'),
+    ({'hidden_sizes': [16, -8]}, 'out of bounds'),
+    ({'hidden_sizes': [10**6]}, 'out of bounds'),
+    ({'hidden_sizes': [10**300, 8]}, 'out of bounds'),
+    ({'hidden_sizes': [4] * 9}, 'out of bounds'),
+    ({'hidden_sizes': [4096, 4096]}, 'another network'),
+    ({'hidden_sizes': [float('inf')]}, 'damaged'),
+    ({'hidden_sizes': ['wide']}, 'damaged'),
+    ({'hidden_sizes': 16}, 'damaged'),
+    ({'provenance': [1]}, 'damaged'),
+    ({'format': _ABSENT}, 'not a policy of this version'),
+    ({'format': 'dmc_multimode.policy.99'}, 'not a policy of this version'),
+  ],
+)
+def test_damaged_field(
+  folder: pathlib.Path, changes: dict[str, Any], message: str
+) -> None:
+  _edit(folder, **changes)
+  assert message in _refused(folder)
+
+
+@pytest.mark.parametrize(
+  'text', ['', '{"format"', '[]', '3', '[' * 100_000, '{"a": ' * 100_000]
+)
+def test_damaged_json(folder: pathlib.Path, text: str) -> None:
+  _description(folder).write_text(text)
+  assert policy_lib.DESCRIPTION_FILE in _refused(folder)
+
+
+def test_truncated_json(folder: pathlib.Path) -> None:
+  path = _description(folder)
+  path.write_bytes(path.read_bytes()[:-10])
+  assert 'damaged' in _refused(folder)
+
+
+@pytest.mark.parametrize('find', [_weights, _description])
+def test_oversized_file(
+  folder: pathlib.Path, find: Callable[[pathlib.Path], pathlib.Path]
+) -> None:
+  with open(find(folder), 'r+b') as file:
+    file.truncate(65 << 20)  # Sparse: it takes no room.
+  assert 'too large' in _refused(folder)
