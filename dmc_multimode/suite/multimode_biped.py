@@ -76,12 +76,18 @@ def make_task(
   )
 
 
-def _environment(
+def make_environment(
   task: imitation.Imitation,
-  random: int | np.random.RandomState | None,
-  environment_kwargs: Mapping[str, Any] | None,
+  random: int | np.random.RandomState | None = None,
+  environment_kwargs: Mapping[str, Any] | None = None,
 ) -> composer.Environment:
-  """Wraps a task; nothing in its model changes between episodes."""
+  """Makes a task an environment with the task's own time limit.
+
+  Args:
+    task: whose model does not change between episodes.
+    random: a seed, or the source of all randomness.
+    environment_kwargs: for the `composer.Environment`.
+  """
   kwargs: dict[str, Any] = {
     'recompile_mjcf_every_episode': False,
     'strip_singleton_obs_buffer_dim': True,
@@ -109,7 +115,7 @@ def multimode(
   if time_limit is not None:
     config = dataclasses.replace(config, time_limit=time_limit)
   task = make_task(library.resolve(modes), config=config)
-  return _environment(task, random, environment_kwargs)
+  return make_environment(task, random, environment_kwargs)
 
 
 def single_mode(
@@ -126,7 +132,7 @@ def single_mode(
     schedule_lib.single(np.zeros(1, dtype=np.int64))
   )
   task = make_task(library.resolve([mode]), episodes=episodes, config=config)
-  return _environment(task, random, environment_kwargs)
+  return make_environment(task, random, environment_kwargs)
 
 
 def _register(

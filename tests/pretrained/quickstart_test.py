@@ -3,7 +3,6 @@
 import dataclasses
 
 from absl.testing import absltest
-from dm_control import composer
 import numpy as np
 
 from dmc_multimode import pretrained
@@ -52,9 +51,7 @@ class QuickstartTest(absltest.TestCase):
       episodes.ScheduledEpisodes(schedule.single(walk)),
       config=dataclasses.replace(self.config, time_limit=3.0),
     )
-    environment = composer.Environment(
-      task, 3.0, random_state=0, recompile_mjcf_every_episode=False
-    )
+    environment = multimode_biped.make_environment(task, random=0)
     loop = acting.EnvironmentLoop(environment, self.policy.actor)
     self.assertTrue(loop.run_episode()['survived'])
     walked = environment.physics.data.qpos[0]

@@ -117,7 +117,7 @@ class ParityTest(parameterized.TestCase):
 
   @parameterized.parameters(*track.LAYOUTS)
   def test_every_mode(self, arena: str) -> None:
-    env = multimode_biped._environment(_task(arena, _ENDLESS), 0, None)
+    env = multimode_biped.make_environment(_task(arena, _ENDLESS), 0, None)
     for mode in range(len(_MOTIONS)):
       steps, ran = self._drive(env, mode)
       self.assertEqual(steps, _STEPS)
@@ -125,19 +125,19 @@ class ParityTest(parameterized.TestCase):
 
   @parameterized.parameters('flat', 'parkour')
   def test_terminations(self, arena: str) -> None:
-    env = multimode_biped._environment(_task(arena, _ENDING), 0, None)
+    env = multimode_biped.make_environment(_task(arena, _ENDING), 0, None)
     lengths = [self._drive(env, mode)[0] for mode in range(len(_MOTIONS))]
     self.assertLess(np.median(lengths), _STEPS)  # Most of them end.
 
   def test_time_limit(self) -> None:
     task_config = dataclasses.replace(_ENDLESS, time_limit=0.45)
-    env = multimode_biped._environment(_task('flat', task_config), 0, None)
+    env = multimode_biped.make_environment(_task('flat', task_config), 0, None)
     self.assertEqual(self._drive(env, 0)[0], 15)
 
   def test_first_step_has_all_of_eq_2(self) -> None:
     """dm_control resets without actuation; the damping must not be missing."""
     task_config = dataclasses.replace(_ENDLESS, velocity_noise=3.0)
-    env = multimode_biped._environment(_task('flat', task_config), 0, None)
+    env = multimode_biped.make_environment(_task('flat', task_config), 0, None)
     self._drive(env, 0)
 
 

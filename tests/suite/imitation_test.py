@@ -52,7 +52,7 @@ def _env(
     arena,
     task_config,
   )
-  return multimode_biped._environment(task, 0, None)
+  return multimode_biped.make_environment(task, 0, None)
 
 
 def _standing_action(env: composer.Environment) -> np.ndarray:
