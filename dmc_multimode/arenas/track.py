@@ -6,36 +6,18 @@ bounding volumes stale and silently disables its contacts; and a box's new size
 must reach `geom_rbound`, `geom_aabb` and `bvh_aabb` too.
 """
 
-from typing import Any, Callable, Mapping, NamedTuple, Sequence, TypeAlias
+from typing import Any, Sequence
 
 from dm_control import composer
 from dm_control.composer import variation
 import numpy as np
 
+from dmc_multimode.arenas import layouts
 from dmc_multimode.arenas import terrain as terrain_lib
 
 _START = -20.0  # Metres: the ground begins this far behind the origin.
 _RUN_OUT = 20.0  # Metres of ground behind the last obstacle.
 _COLOURS = ('.70 .74 .78 1', '.62 .67 .72 1')
-
-Number: TypeAlias = float | variation.Variation
-
-
-class Piece(NamedTuple):
-  """One stretch of a track; every size may be a dm_control Variation.
-
-  Attributes:
-    length: metres along x.
-    height: of its top over the ground at the start, in metres.
-    gap: metres of nothing before it.
-  """
-
-  length: Number
-  height: Number = 0.0
-  gap: Number = 0.0
-
-
-Layout = Sequence[Piece] | Callable[[np.random.RandomState], Sequence[Piece]]
 
 
 class Track(composer.Arena):
@@ -43,7 +25,7 @@ class Track(composer.Arena):
 
   def _build(
     self,
-    layout: Layout,
+    layout: layouts.Layout,
     num_segments: int,
     adaptive: bool = False,
     name: str = 'track',
@@ -184,7 +166,7 @@ class Track(composer.Arena):
       )
     self._drawn = _place(
       [
-        Piece(
+        layouts.Piece(
           *(
             float(variation.evaluate(s, random_state=random_state))
             for s in piece
@@ -256,7 +238,9 @@ def write_sizes(
   bvh_aabb[..., bvh_ids, 3:] = halves
 
 
-def _place(pieces: Sequence[Piece], num_segments: int) -> terrain_lib.Terrain:
+def _place(
+  pieces: Sequence[layouts.Piece], num_segments: int
+) -> terrain_lib.Terrain:
   """Lays pieces of plain numbers end to end."""
   result = terrain_lib.empty(1, num_segments)
   x = 0.0
@@ -272,70 +256,7 @@ def _place(pieces: Sequence[Piece], num_segments: int) -> terrain_lib.Terrain:
   return result
 
 
-def flat() -> Sequence[Piece]:
-  """Level ground."""
-  return (Piece(length=20.0),)
-
-
-def gap(distance: Number = 0.8, width: Number = 0.45) -> Sequence[Piece]:
-  """A gap of `width` metres that begins `distance` metres ahead."""
-  return (Piece(distance), Piece(20.0, gap=width))
-
-
-def plateau(
-  distance: Number = 0.7, length: Number = 0.6, height: Number = 0.2
-) -> Sequence[Piece]:
-  """A plateau to climb and to leave again."""
-  return (Piece(distance), Piece(length, height), Piece(20.0))
-
-
-def block(distance: Number = 0.8, height: Number = 0.4) -> Sequence[Piece]:
-  """A block to launch onto, without end."""
-  return (Piece(distance), Piece(20.0, height))
-
-
-def gap_block(
-  distance: Number = 0.6,
-  width: Number = 0.45,
-  landing: Number = 0.6,
-  height: Number = 0.4,
-) -> Sequence[Piece]:
-  """A gap, `landing` metres of ground, then a block."""
-  return (Piece(distance), Piece(landing, gap=width), Piece(20.0, height))
-
-
-_PARKOUR_OBSTACLES = 3
-_PARKOUR_GAP = (0.2, 0.45)  # Metres.
-_PARKOUR_PLATEAU = (0.05, 0.2)  # Metres.
-_PARKOUR_BLOCK = (0.2, 0.4)  # Metres.
-_PARKOUR_RUN = (0.6, 1.0)  # Metres between obstacles.
-
-
-def parkour(random_state: np.random.RandomState) -> Sequence[Piece]:
-  """Gaps, plateaus and blocks of random size in random order."""
-  run = lambda: random_state.uniform(*_PARKOUR_RUN)
-  pieces, ground = [Piece(run())], 0.0
-  for kind in random_state.permutation(_PARKOUR_OBSTACLES):
-    if kind == 0:
-      pieces.append(Piece(run(), ground, random_state.uniform(*_PARKOUR_GAP)))
-    elif kind == 1:
-      rise = random_state.uniform(*_PARKOUR_PLATEAU)
-      pieces += [Piece(run(), ground + rise), Piece(run(), ground)]
-    else:
-      ground += random_state.uniform(*_PARKOUR_BLOCK)
-      pieces.append(Piece(run(), ground))
-  return pieces
-
-
-LAYOUTS: Mapping[str, Layout] = {
-  'flat': flat(),
-  'gap': gap(),
-  'plateau': plateau(),
-  'block': block(),
-  'gap_block': gap_block(),
-  'parkour': parkour,
-}
-_MOST_PIECES = 6  # Of any layout above.
+_MOST_PIECES = 6  # Of any layout.
 
 
 def make(name: str, num_segments: int = _MOST_PIECES) -> Track:
@@ -347,8 +268,8 @@ def make(name: str, num_segments: int = _MOST_PIECES) -> Track:
   Raises:
     ValueError: the name is unknown; the message lists the known ones.
   """
-  if name not in LAYOUTS:
+  if name not in layouts.LAYOUTS:
     raise ValueError(
-      f'Unknown arena {name!r}; arenas are {", ".join(LAYOUTS)}.'
+      f'Unknown arena {name!r}; arenas are {", ".join(layouts.LAYOUTS)}.'
     )
-  return Track(LAYOUTS[name], num_segments, adaptive=name == 'flat')
+  return Track(layouts.LAYOUTS[name], num_segments, adaptive=name == 'flat')

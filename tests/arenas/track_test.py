@@ -9,6 +9,7 @@ from dm_control.composer.variation import distributions
 import mujoco
 import numpy as np
 
+from dmc_multimode.arenas import layouts
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track
 from dmc_multimode.modes import codebook
@@ -72,7 +73,7 @@ def _starts_and_heights(
 
 
 class LayoutTest(parameterized.TestCase):
-  @parameterized.parameters(*track.LAYOUTS)
+  @parameterized.parameters(*layouts.LAYOUTS)
   def test_every_layout_generates(self, name: str) -> None:
     drawn = track.make(name).generate(np.random.RandomState(0))
     used = np.isfinite(drawn.starts[0])
@@ -112,14 +113,14 @@ class LayoutTest(parameterized.TestCase):
       self.assertLessEqual(rises.max(), 0.4)
 
   def test_only_flat_ground_is_adaptive(self) -> None:
-    adaptive = [name for name in track.LAYOUTS if track.make(name).adaptive]
+    adaptive = [name for name in layouts.LAYOUTS if track.make(name).adaptive]
     self.assertEqual(adaptive, ['flat'])
 
 
 class RandomnessTest(parameterized.TestCase):
   def _varied(self) -> track.Track:
     return track.Track(
-      track.gap(
+      layouts.gap(
         distance=distributions.Uniform(0.5, 1.0),
         width=distributions.Uniform(0.2, 0.4),
       ),
@@ -176,9 +177,9 @@ class ErrorsTest(parameterized.TestCase):
     {'length': 0.0}, {'length': -1.0}, {'length': float('nan')}, {'gap': -0.1}
   )
   def test_impossible_piece(self, **sizes: float) -> None:
-    piece = track.Piece(**{'length': 1.0, **sizes})
+    piece = layouts.Piece(**{'length': 1.0, **sizes})
     with self.assertRaisesRegex(ValueError, 'Piece 1 needs'):
-      track.Track((track.Piece(1.0), piece), 2).generate(
+      track.Track((layouts.Piece(1.0), piece), 2).generate(
         np.random.RandomState(0)
       )
 

@@ -15,7 +15,7 @@ from dm_control import composer
 import dm_env
 import numpy as np
 
-from dmc_multimode.arenas import track
+from dmc_multimode.arenas import layouts
 from dmc_multimode.modes import codebook
 from dmc_multimode.modes import library
 from dmc_multimode.modes import reference
@@ -115,7 +115,7 @@ class ParityTest(parameterized.TestCase):
     )
     return step, sorted(ran)
 
-  @parameterized.parameters(*track.LAYOUTS)
+  @parameterized.parameters(*layouts.LAYOUTS)
   def test_every_mode(self, arena: str) -> None:
     env = multimode_biped.make_environment(_task(arena, _ENDLESS), 0, None)
     for mode in range(len(_MOTIONS)):

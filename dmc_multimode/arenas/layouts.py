@@ -1,0 +1,93 @@
+"""Layouts of tracks: what stands where, as declarations.
+
+A new track is a function here and its row in `LAYOUTS`.
+"""
+
+from typing import Callable, Mapping, NamedTuple, Sequence, TypeAlias
+
+from dm_control.composer import variation
+import numpy as np
+
+Number: TypeAlias = float | variation.Variation
+
+
+class Piece(NamedTuple):
+  """One stretch of a track; every size may be a dm_control Variation.
+
+  Attributes:
+    length: metres along x.
+    height: of its top over the ground at the start, in metres.
+    gap: metres of nothing before it.
+  """
+
+  length: Number
+  height: Number = 0.0
+  gap: Number = 0.0
+
+
+Layout = Sequence[Piece] | Callable[[np.random.RandomState], Sequence[Piece]]
+
+
+def flat() -> Sequence[Piece]:
+  """Level ground."""
+  return (Piece(length=20.0),)
+
+
+def gap(distance: Number = 0.8, width: Number = 0.45) -> Sequence[Piece]:
+  """A gap of `width` metres that begins `distance` metres ahead."""
+  return (Piece(distance), Piece(20.0, gap=width))
+
+
+def plateau(
+  distance: Number = 0.7, length: Number = 0.6, height: Number = 0.2
+) -> Sequence[Piece]:
+  """A plateau to climb and to leave again."""
+  return (Piece(distance), Piece(length, height), Piece(20.0))
+
+
+def block(distance: Number = 0.8, height: Number = 0.4) -> Sequence[Piece]:
+  """A block to launch onto, without end."""
+  return (Piece(distance), Piece(20.0, height))
+
+
+def gap_block(
+  distance: Number = 0.6,
+  width: Number = 0.45,
+  landing: Number = 0.6,
+  height: Number = 0.4,
+) -> Sequence[Piece]:
+  """A gap, `landing` metres of ground, then a block."""
+  return (Piece(distance), Piece(landing, gap=width), Piece(20.0, height))
+
+
+_PARKOUR_OBSTACLES = 3
+_PARKOUR_GAP = (0.2, 0.45)  # Metres.
+_PARKOUR_PLATEAU = (0.05, 0.2)  # Metres.
+_PARKOUR_BLOCK = (0.2, 0.4)  # Metres.
+_PARKOUR_RUN = (0.6, 1.0)  # Metres between obstacles.
+
+
+def parkour(random_state: np.random.RandomState) -> Sequence[Piece]:
+  """Gaps, plateaus and blocks of random size in random order."""
+  run = lambda: random_state.uniform(*_PARKOUR_RUN)
+  pieces, ground = [Piece(run())], 0.0
+  for kind in random_state.permutation(_PARKOUR_OBSTACLES):
+    if kind == 0:
+      pieces.append(Piece(run(), ground, random_state.uniform(*_PARKOUR_GAP)))
+    elif kind == 1:
+      rise = random_state.uniform(*_PARKOUR_PLATEAU)
+      pieces += [Piece(run(), ground + rise), Piece(run(), ground)]
+    else:
+      ground += random_state.uniform(*_PARKOUR_BLOCK)
+      pieces.append(Piece(run(), ground))
+  return pieces
+
+
+LAYOUTS: Mapping[str, Layout] = {
+  'flat': flat(),
+  'gap': gap(),
+  'plateau': plateau(),
+  'block': block(),
+  'gap_block': gap_block(),
+  'parkour': parkour,
+}
