@@ -65,6 +65,7 @@ class Checkpointer:
   def __init__(self, directory: pathlib.Path):
     """Writes into `directory`, which must exist."""
     self._directory = directory
+    self._newest_is_damaged = False
 
   @property
   def path(self) -> pathlib.Path:
@@ -83,9 +84,11 @@ class Checkpointer:
     """Writes a checkpoint; the one before it stays as a fallback."""
     newest = self._directory / f'.{NAME}.new'
     save_tensors(newest, tensors, {**metadata, 'format': _FORMAT})
-    if self.path.exists():
+    # A damaged one must not take the place of the one that was resumed.
+    if self.path.exists() and not self._newest_is_damaged:
       os.replace(self.path, self._directory / PREVIOUS)
     os.replace(newest, self.path)
+    self._newest_is_damaged = False
 
   def load(self) -> tuple[dict[str, torch.Tensor], dict[str, Any], str]:
     """Reads the newest checkpoint that is whole.
@@ -107,6 +110,7 @@ class Checkpointer:
       if metadata.get('format') != _FORMAT:
         problem = problem or f'{path} is not a training checkpoint.'
         continue
+      self._newest_is_damaged = bool(problem)
       note = f'{problem} Resuming from {path.name}.' if problem else ''
       return tensors, metadata, note
     if not self.exists():

@@ -120,6 +120,23 @@ def test_truncated_newest(tmp_path: pathlib.Path, kept: int) -> None:
   assert _value(tmp_path) == (3, '')
 
 
+def test_a_damaged_newest_never_replaces_the_good_one(
+  tmp_path: pathlib.Path,
+) -> None:
+  _save(tmp_path, 1)
+  _save(tmp_path, 2)
+  (tmp_path / checkpointing.NAME).write_bytes(b'damaged')
+  checkpointer = checkpointing.Checkpointer(tmp_path)
+  checkpointer.load()
+  replaced = mock.Mock(side_effect=os.replace)
+  with mock.patch.object(os, 'replace', replaced):
+    checkpointer.save({'x': torch.tensor(3)}, {'steps': 3})
+  previous = tmp_path / checkpointing.PREVIOUS
+  assert previous not in [call.args[1] for call in replaced.call_args_list]
+  tensors, _ = checkpointing.load_tensors(previous)
+  assert tensors['x'][0] == 1
+
+
 def _foreign(path: pathlib.Path) -> None:
   path.write_bytes(safetensors_torch.save({'x': torch.zeros(3)}))
 
