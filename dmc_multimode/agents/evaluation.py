@@ -83,9 +83,11 @@ def body_metrics(
       m/s; reference_velocity: that of the reference; height: mean of the trunk
       over its support, m; apex: highest trunk over its support in a cycle, mean
       over the cycles, m; rise: highest minus lowest in a cycle, m; flight:
-      longest time without contact in a cycle, s; drift: distance from where
-      the episode began, at its end, m; position_error: mean distance from the
-      reference, m; final_height: world height at the end, m.
+      longest time without contact in a cycle, s; single_support: share of the
+      time with just one foot on the ground, which alternating feet have much
+      of; drift: distance from where the episode began, at its end, m;
+      position_error: mean distance from the reference, m; final_height: world
+      height at the end, m.
   """
   rows = [
     _one_body(episodes, world, durations[world], control_timestep)
@@ -121,6 +123,7 @@ def _one_body(
     'apex': float(np.mean([h.max() for h in heights])),
     'rise': float(np.mean([h.max() - h.min() for h in heights])),
     'flight': float(np.mean(airborne)) * timestep,
+    'single_support': float((trace['contact'].sum(axis=-1) == 1).mean()),
     'drift': float(np.linalg.norm(position[-1, :2] - position[0, :2])),
     'position_error': float(
       np.linalg.norm(position - reference, axis=-1).mean()

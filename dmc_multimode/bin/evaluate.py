@@ -156,6 +156,7 @@ _COLUMNS = (
   'apex',
   'rise',
   'flight',
+  'single_support',
   'drift',
   'position_error',
 )

@@ -68,6 +68,7 @@ def test_flight_is_the_longest_time_without_any_foot() -> None:
   found = _metrics(contact=np.stack([left, right], axis=1))
   # One step in the first cycle; three, then another one, in the second.
   assert found['flight'] == pytest.approx(_TIMESTEP * (1 + 3) / 2)
+  assert found['single_support'] == pytest.approx(2 / 10)
 
 
 def test_what_follows_the_end_does_not_count() -> None:
