@@ -59,6 +59,37 @@ class Track(composer.Arena):
     self._geoms = [self._add_segment(i) for i in range(num_segments)]
 
   def _add_visuals(self) -> None:
+    self._set_visual_options()
+    self._texture('sky', 'skybox', [0.75, 0.84, 0.92], [0.95, 0.96, 0.98], 128)
+    grid = self._texture(
+      'grid', '2d', [0.92, 0.93, 0.94], [0.80, 0.83, 0.86], 256
+    )
+    self._material = self._mjcf_root.asset.add(
+      'material', name='grid', texture=grid, texuniform=True, texrepeat=[2, 2]
+    )
+    self._add_light_and_camera()
+
+  def _texture(
+    self,
+    name: str,
+    kind: str,
+    first: Sequence[float],
+    second: Sequence[float],
+    size: int,
+  ) -> Any:
+    """Adds a texture of two colours, a gradient in the sky."""
+    return self._mjcf_root.asset.add(
+      'texture',
+      name=name,
+      type=kind,
+      builtin='gradient' if kind == 'skybox' else 'checker',
+      rgb1=first,
+      rgb2=second,
+      width=size,
+      height=size,
+    )
+
+  def _set_visual_options(self) -> None:
     root = self._mjcf_root
     root.visual.headlight.set_attributes(
       ambient=[0.32] * 3, diffuse=[0.22] * 3, specular=[0.05] * 3
@@ -69,33 +100,9 @@ class Track(composer.Arena):
     root.statistic.center, root.statistic.extent = [0, 0, 0.5], 3.0
     # The boxes and feet need far less; set so that no growth is ever needed.
     root.size.memory = '2M'
-    root.asset.add(
-      'texture',
-      name='sky',
-      type='skybox',
-      builtin='gradient',
-      rgb1=[0.75, 0.84, 0.92],
-      rgb2=[0.95, 0.96, 0.98],
-      width=128,
-      height=128,
-    )
-    texture = root.asset.add(
-      'texture',
-      name='grid',
-      type='2d',
-      builtin='checker',
-      rgb1=[0.92, 0.93, 0.94],
-      rgb2=[0.80, 0.83, 0.86],
-      width=256,
-      height=256,
-    )
-    self._material = root.asset.add(
-      'material',
-      name='grid',
-      texture=texture,
-      texuniform=True,
-      texrepeat=[2, 2],
-    )
+
+  def _add_light_and_camera(self) -> None:
+    root = self._mjcf_root
     # From behind, so that walls ahead are lit; shadows are of the robot's own
     # light, for a light that stands still has none beyond a few metres.
     root.worldbody.add(

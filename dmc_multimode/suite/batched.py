@@ -92,7 +92,6 @@ class BatchedImitation:
     self.motions, self.codebook = task.motions, task.codebook
     self.num_worlds = num_worlds
     self._arena = task.root_entity
-    self._walker = task.walker
     self._action_spec = task.walker.action_spec
     self._auto_reset = auto_reset
     self._random_state = (

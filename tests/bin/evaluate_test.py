@@ -8,13 +8,9 @@ from typing import Iterator
 import numpy as np
 import pytest
 
-from dmc_multimode import pretrained
-from dmc_multimode.agents.ppo import networks
-from dmc_multimode.modes import codebook
-from dmc_multimode.modes import library
 from dmc_multimode.suite import config
-from dmc_multimode.suite import observations
 from tests.bin import processes
+from tests.bin import untrained
 
 _MODES = ('idle', 'walk_forward')
 # The first model costs seconds.
@@ -38,14 +34,9 @@ def evaluate(
 @pytest.fixture(scope='module')
 def policy(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
   """The folder of an untrained policy, for episodes of 0.6 seconds."""
-  motions = library.resolve(_MODES)
-  book = codebook.one_hot(motions)
-  size = 2 + book.latent_dim + observations.STATE_SIZE
-  network = networks.ActorCritic(size, observations.NUM_JOINTS, (8,))
   folder = tmp_path_factory.mktemp('policy')
   task = config.ImitationConfig(time_limit=0.6)
-  provenance = {'steps': 12}
-  pretrained.Policy(network, (8,), motions, book, task, provenance).save(folder)
+  untrained.save(folder, _MODES, task, {'steps': 12})
   return folder
 
 

@@ -15,13 +15,9 @@ import av
 import numpy as np
 import pytest
 
-from dmc_multimode import pretrained
-from dmc_multimode.agents.ppo import networks
 from dmc_multimode.bin import video
-from dmc_multimode.modes import codebook
-from dmc_multimode.modes import library
 from dmc_multimode.suite import config
-from dmc_multimode.suite import observations
+from tests.bin import untrained
 
 _ROOT = pathlib.Path(__file__).parents[2]
 _MODES = ('walk_forward', 'leap_forward')
@@ -99,14 +95,8 @@ def _decode(path: pathlib.Path) -> tuple[np.ndarray, float]:
 @pytest.fixture(scope='module')
 def policy(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
   """The folder of an untrained policy."""
-  motions = library.resolve(_MODES)
-  book = codebook.one_hot(motions)
-  size = 2 + book.latent_dim + observations.STATE_SIZE
-  network = networks.ActorCritic(size, observations.NUM_JOINTS, (8,))
   folder = tmp_path_factory.mktemp('policy')
-  pretrained.Policy(
-    network, (8,), motions, book, config.ImitationConfig(), {}
-  ).save(folder)
+  untrained.save(folder, _MODES, config.ImitationConfig(), {})
   return folder
 
 

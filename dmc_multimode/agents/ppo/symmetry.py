@@ -44,7 +44,6 @@ class Mirror:
 
   def __init__(self, image: MirrorImage, latents: np.ndarray):
     """Mirrors as `image` says, with the modes' `latents`, [M, n_m]."""
-    self._image = image
     self._order = torch.from_numpy(image.observation_order)
     self._signs = torch.from_numpy(image.observation_signs)
     self._action_order = torch.from_numpy(image.action_order)
