@@ -176,13 +176,18 @@ def build(
     config.task,
   )
   environment = batched.BatchedImitation(
-    task, config.num_worlds, config.seed, config.threads
+    task,
+    config.num_worlds,
+    config.seed,
+    config.threads,
+    privileged=config.ppo.privileged_critic,
   )
   builder = builder_lib.PPOBuilder(config.ppo, config.seed)
   network = builder.make_networks(
     environment.observation_spec(),
     environment.action_spec(),
     environment.standing_action(),
+    environment.privileged_size,
   )
   mirror = None
   if config.ppo.symmetry != 'none':
@@ -190,7 +195,9 @@ def build(
   loop = training.TrainingLoop(
     environment,
     builder.make_actor(network),
-    builder.make_learner(network, mirror),
+    builder.make_learner(
+      network, mirror, symmetry.Commands(codebook.latents)
+    ),
     config.ppo.rollout_length,
     codebook.names,
     environment.episodes.probabilities,

@@ -21,6 +21,8 @@ STEADY = 'steady'  # One pose; only the clock runs.
 KINDS = (PERIODIC, TRANSIENT, STEADY)
 
 NUM_FEET = 2  # Contact states are ordered (left, right).
+_GRAVITY = 9.81  # m/s^2
+_LEAST_FLIGHT = 0.05  # Seconds.
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -176,6 +178,8 @@ class ReferenceBank:
       self._orientations[i, :k] = motion.orientations
       if motion.contacts is not None:
         self._contacts[i, :k] = motion.contacts
+    self._landings = self._next_touch_downs()
+    self._airborne = self.has_contacts[:, None] & ~self._contacts.any(axis=-1)
     start = _rotation(self._orientations[:, :-1].reshape(-1, 4))
     end = _rotation(self._orientations[:, 1:].reshape(-1, 4))
     # Rotation vector from each keyframe to the next: slerp is its scaling.
@@ -187,6 +191,14 @@ class ReferenceBank:
     ends = np.stack([m.orientations[-1] for m in self.motions])
     starts = np.stack([m.orientations[0] for m in self.motions])
     self.turns = np.where(self.periodic, yaw(ends) - yaw(starts), 0.0)
+    self._velocities = self._keyframe_velocities()
+
+  def _next_touch_downs(self) -> np.ndarray:
+    """Returns the phase of the first contact at or after each keyframe."""
+    phases = np.minimum(self._phases, 1.0)
+    landings = np.where(self._contacts.any(axis=-1), phases, np.inf)
+    landings = np.minimum.accumulate(landings[:, ::-1], axis=1)[:, ::-1]
+    return np.minimum(landings, 1.0)
 
   def __len__(self) -> int:
     return len(self.motions)
@@ -266,6 +278,56 @@ class ReferenceBank:
     moved = self._position(modes, *self._locate(modes, after))
     moved = moved - self._position(modes, *self._locate(modes, before))
     return moved / ((after - before) * self.durations[modes])[:, None]
+
+  def start_velocity(
+    self, modes: np.ndarray, phases: np.ndarray
+  ) -> np.ndarray:
+    """Base velocities with which a body can follow the reference from here.
+
+    Keyframes are joined by straight lines, along which nothing falls: a body
+    that left one at the line's velocity would land short. In flight this is
+    therefore the velocity that gravity turns into the next touch-down; on the
+    ground it changes linearly from keyframe to keyframe, up to that of a
+    take-off.
+
+    Args:
+      modes: mode indices, [B].
+      phases: phases in [0, 1], [B].
+
+    Returns:
+      Linear velocities in the anchor frame at clock rate 1, in m/s, [B, 3].
+    """
+    left, weight = self._locate(modes, phases)
+    before = self._velocities[modes, left]
+    after = self._velocities[modes, left + 1]
+    return np.where(
+      self._airborne[modes, left][:, None],
+      self._ballistic_velocity(modes, phases, self._landings[modes, left]),
+      before + weight * (after - before),
+    )
+
+  def _ballistic_velocity(
+    self, modes: np.ndarray, phases: np.ndarray, landings: np.ndarray
+  ) -> np.ndarray:
+    """Velocities, m/s, that end in the references at `landings`, [B, 3]."""
+    # A moment before touch-down there is hardly anything left to divide.
+    least = _LEAST_FLIGHT / self.durations[modes]
+    start = np.clip(landings - least, 0.0, phases)
+    span = np.maximum(landings - start, least)
+    time = (span * self.durations[modes])[:, None]
+    moved = self._position(modes, *self._locate(modes, landings))
+    moved = moved - self._position(modes, *self._locate(modes, start))
+    return moved / time + 0.5 * time * np.array([0.0, 0.0, _GRAVITY])
+
+  def _keyframe_velocities(self) -> np.ndarray:
+    """Returns `start_velocity` at the keyframes, [M, K, 3]."""
+    num, width = self._phases.shape
+    modes = np.repeat(np.arange(num), width)
+    phases = np.minimum(self._phases, 1.0).ravel()
+    slopes = self.velocity(modes, phases)
+    flight = self._ballistic_velocity(modes, phases, self._landings.ravel())
+    velocities = np.where(self._airborne.reshape(-1, 1), flight, slopes)
+    return velocities.reshape(num, width, 3)
 
 
 def yaw(quaternions: np.ndarray) -> np.ndarray:

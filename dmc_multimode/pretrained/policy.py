@@ -80,6 +80,8 @@ class Policy:
     description = {
       'format': _FORMAT,
       'hidden_sizes': list(self.hidden_sizes),
+      'activation': self.network.activation,
+      'privileged_size': self.network.privileged_size,
       'modes': [files.motion_to_dict(motion) for motion in self.motions],
       'latents': self.codebook.latents.tolist(),
       'task': config_lib.to_dict(self.config),
@@ -170,8 +172,20 @@ def _untrained(description: dict[str, Any]) -> Policy:
     np.array(description['latents'], dtype=np.float32),
   )
   size = 2 + codebook.latent_dim + observations.STATE_SIZE
+  activation = description.get('activation', 'elu')  # As it once was.
+  if activation not in networks.ACTIVATIONS:
+    raise ValueError(f'activation {activation!r} is unknown.')
+  more = int(description.get('privileged_size', 0))
+  if not 0 <= more <= _MAX_UNITS:
+    raise ValueError(f'privileged size {more} is out of bounds.')
   with torch.device('meta'):  # Shapes alone, whatever sizes are asked for.
-    network = networks.ActorCritic(size, _NUM_ACTIONS, hidden)
+    network = networks.ActorCritic(
+      size,
+      _NUM_ACTIONS,
+      hidden,
+      privileged_size=more,
+      activation=activation,
+    )
   return Policy(
     network,
     hidden,

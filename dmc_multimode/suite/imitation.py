@@ -68,6 +68,8 @@ class Imitation(composer.Task):
     option.integrator = 'implicitfast'
     option.cone = 'pyramidal'
     option.noslip_iterations = 0
+    # One robot is one island: looking for more of them only costs time.
+    option.flag.island = 'disable'
     # A diverged state must be seen, not silently replaced by the initial one.
     option.flag.autoreset = 'disable'
     self.set_timesteps(

@@ -10,18 +10,19 @@ termination against the mode that was in force); `switch` (a command that is due
 re-anchors the reference); `observe` (what the next action sees).
 """
 
-from typing import NamedTuple
+from typing import Mapping, NamedTuple
 
 import numpy as np
 from scipy.spatial import transform
 
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.modes import codebook as codebook_lib
-from dmc_multimode.modes import library
 from dmc_multimode.modes import reference as reference_lib
 from dmc_multimode.suite import config as config_lib
 from dmc_multimode.suite import episodes as episodes_lib
+from dmc_multimode.suite import legs
 from dmc_multimode.suite import observations
+from dmc_multimode.suite import privileged
 from dmc_multimode.suite import rewards
 from dmc_multimode.suite import terminations
 from dmc_multimode.suite import tracking
@@ -75,6 +76,7 @@ class ImitationCore:
       motions, codebook, config.control_timestep, num_worlds, max_knots
     )
     self.terrain = terrain_lib.empty(num_worlds, num_segments)
+    self.contact = np.zeros((num_worlds, 2))
     self._steps = [
       motion.step if adaptive_terrain else None for motion in motions
     ]
@@ -106,6 +108,7 @@ class ImitationCore:
     support = terrain_lib.support_height(terrain, np.zeros(count))
     self.tracker.reset(ids, episodes.schedule, phase, support)
     self._place_steps(ids, episodes.initial, np.zeros(count), random_state)
+    self.contact[ids] = 0.0
     return self._initial_state(ids, on_reference, random_state)
 
   def _initial_state(
@@ -117,24 +120,28 @@ class ImitationCore:
     """Poses the robots of `ids` on their references, with noise."""
     config, count = self.config, len(ids)
     position, orientation, velocity = self.tracker.start_pose(ids)
-    # In mid-motion a crouched robot might stand inside a block: lift it.
+    velocity *= on_reference[:, None]
     x = position[:, 0]
     clear = terrain_lib.clearance_height(self.terrain.rows(ids), x, _FOOT_REACH)
-    position[:, 2] = np.maximum(position[:, 2], clear + library.STAND_HEIGHT)
+    airborne = self.tracker.airborne(ids)
+    # In flight the legs are drawn up; even so they must clear a block below.
+    lowest = np.where(airborne, legs.CROUCH_HEIGHT, legs.LOWEST)
+    position[:, 2] = np.maximum(position[:, 2], clear + lowest)
+    angles, rates = legs.standing(
+      np.where(airborne, legs.CROUCH_HEIGHT, position[:, 2] - clear),
+      np.where(airborne, 0.0, velocity[:, 2]),
+    )
     joints = observations.NUM_JOINTS
     tilt = config.tilt_noise * random_state.standard_normal((count, 2))
+    angles += config.joint_noise * random_state.standard_normal((count, joints))
     qpos = np.concatenate(
-      [
-        position,
-        _tilted(orientation, tilt),
-        config.joint_noise * random_state.standard_normal((count, joints)),
-      ],
-      axis=1,
+      [position, _tilted(orientation, tilt), angles], axis=1
     )
     qvel = config.velocity_noise * random_state.standard_normal(
       (count, 6 + joints)
     )
-    qvel[:, :3] += velocity * on_reference[:, None]
+    qvel[:, :3] += velocity
+    qvel[:, 6:] += rates
     return qpos, qvel
 
   def advance(
@@ -147,6 +154,7 @@ class ImitationCore:
       contact: feet on the ground (left, right), 0 or 1, [B, 2].
     """
     config = self.config
+    self.contact[:] = contact
     self.tracker.advance()
     reference = self.tracker.reference()
     finite = np.isfinite(qpos).all(axis=1) & np.isfinite(qvel).all(axis=1)
@@ -244,6 +252,25 @@ class ImitationCore:
       state.heading[ids],
       state.phase[ids],
       self.tracker.commands()[ids],
+    )
+
+  def observe_privileged(
+    self, qpos: np.ndarray, ids: np.ndarray | slice = slice(None)
+  ) -> Mapping[str, np.ndarray]:
+    """Returns what only a value function sees; see `privileged`.
+
+    Args:
+      qpos: of the worlds `ids`, [N, 17].
+      ids: worlds, [N]; all by default.
+    """
+    countdown, following = self.tracker.upcoming(ids)
+    return privileged.observe(
+      qpos[:, :3],
+      self.tracker.reference(ids).position,
+      self.tracker.state.heading[ids],
+      self.contact[ids],
+      countdown,
+      following,
     )
 
 

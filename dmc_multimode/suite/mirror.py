@@ -14,6 +14,7 @@ from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import reference
 from dmc_multimode.suite import mini_biped
 from dmc_multimode.suite import observations
+from dmc_multimode.suite import privileged
 
 
 class MirrorImage(NamedTuple):
@@ -24,6 +25,8 @@ class MirrorImage(NamedTuple):
     action_order, action_signs: of actions, [A].
     mirrored_modes: index of every mode's mirror image, [M].
     clock_signs: -1 for the modes that are mirrored half a cycle later, [M].
+    commands: where latents of modes begin in the observation; they are mirrored
+      by the mode.
   """
 
   observation_order: np.ndarray
@@ -32,6 +35,7 @@ class MirrorImage(NamedTuple):
   action_signs: np.ndarray
   mirrored_modes: np.ndarray
   clock_signs: np.ndarray
+  commands: tuple[int, ...] = (2,)
 
 
 # Reflection in the plane y = 0 of vectors, axial vectors and quaternions.
@@ -39,14 +43,22 @@ _SIGNS = {
   'velocity': (1, -1, 1),
   'angular_velocity': (-1, 1, -1),
   'orientation': (1, -1, 1, -1),
+  'position_error': (1, -1, 1),
 }
+_COMMANDS = ('command', 'next_command')
 
 
 def mirror_image(
   motions: Sequence[reference.ReferenceMotion],
   codebook: codebook_lib.Codebook,
+  with_privileged: bool = False,
 ) -> MirrorImage:
   """Returns the mirror image for a mode set.
+
+  Args:
+    motions: the modes.
+    codebook: their latents.
+    with_privileged: whether observations end with the privileged parts.
 
   Raises:
     ValueError: the set holds a mode but not its mirror image.
@@ -60,11 +72,15 @@ def mirror_image(
       )
   legs = len(mini_biped.LEG_JOINTS)
   exchanged = np.roll(np.arange(2 * legs), legs)
-  orders, signs, start = [], [], 0
-  for name, size in observations.layout(codebook.latent_dim):
-    is_joints = name in ('joints_pos', 'joints_vel')
-    orders.append(start + (exchanged if is_joints else np.arange(size)))
+  paired = {'joints_pos': exchanged, 'joints_vel': exchanged, 'contact': [1, 0]}
+  layout = observations.layout(codebook.latent_dim)
+  if with_privileged:
+    layout += privileged.layout(codebook.latent_dim)
+  orders, signs, commands, start = [], [], [], 0
+  for name, size in layout:
+    orders.append(start + np.asarray(paired.get(name, np.arange(size))))
     signs.append(np.array(_SIGNS.get(name, (1,) * size), dtype=np.float32))
+    commands += [start] if name in _COMMANDS else []
     start += size
   return MirrorImage(
     np.concatenate(orders),
@@ -73,4 +89,5 @@ def mirror_image(
     np.ones(len(exchanged), dtype=np.float32),
     np.array([names.index(motion.mirror) for motion in motions]),
     np.array([-1.0 if m.half_cycle_symmetric else 1.0 for m in motions], 'f4'),
+    tuple(commands),
   )

@@ -13,6 +13,8 @@ from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import reference as reference_lib
 from dmc_multimode.modes import schedule as schedule_lib
 
+_NEVER = np.iinfo(np.int64).max
+
 
 class Tracked(NamedTuple):
   """The trackers' state that must survive a checkpoint; [B] unless said.
@@ -76,7 +78,7 @@ class ModeTracker:
     zeros = lambda *shape: np.zeros(shape, dtype=np.int64)
     self.state = Tracked(
       schedule_modes=zeros(num, knots),
-      schedule_steps=np.full((num, knots), np.iinfo(np.int64).max),
+      schedule_steps=np.full((num, knots), _NEVER),
       clock_rate=np.ones(num),
       knot=zeros(num),
       step=zeros(num),
@@ -111,7 +113,7 @@ class ModeTracker:
         f'{state.schedule_modes.shape[1]}: raise max_knots.'
       )
     state.schedule_modes[ids, :used] = schedule.modes
-    state.schedule_steps[ids] = np.iinfo(np.int64).max
+    state.schedule_steps[ids] = _NEVER
     state.schedule_steps[ids, :used] = schedule.start_steps(self._timestep)
     state.clock_rate[ids] = schedule.clock_rate
     state.knot[ids] = 0
@@ -191,15 +193,43 @@ class ModeTracker:
     state.anchor[ids, :2] = position[:, :2]
     state.anchor[ids, 2] = support
 
-  def reference(self) -> reference_lib.Reference:
-    """Returns the references now.
+  def reference(
+    self, ids: np.ndarray | slice = slice(None)
+  ) -> reference_lib.Reference:
+    """Returns the references of the worlds `ids` now; of all by default.
 
     Positions are in the world frame; orientations are relative to the heading.
     """
     state = self.state
-    local = self.bank.sample(state.mode, state.phase)
-    position = state.anchor + _turn(local.position, state.heading)
-    return local._replace(position=position)
+    local = self.bank.sample(state.mode[ids], state.phase[ids])
+    turned = _turn(local.position, state.heading[ids])
+    return local._replace(position=state.anchor[ids] + turned)
+
+  def airborne(self, ids: np.ndarray) -> np.ndarray:
+    """Whether the references of `ids` have both feet off the ground, [N]."""
+    state = self.state
+    local = self.bank.sample(state.mode[ids], state.phase[ids])
+    return local.has_contact & ~local.contact.any(axis=1)
+
+  def upcoming(
+    self, ids: np.ndarray | slice = slice(None)
+  ) -> tuple[np.ndarray, np.ndarray]:
+    """Returns what is commanded next in the worlds `ids`; in all by default.
+
+    Returns:
+      Seconds until the next command, infinite where there is none, [N], and
+      its latent (that of the running mode where there is none), [N, n_m].
+    """
+    state = self.state
+    knot, steps = state.knot[ids], state.schedule_steps[ids]
+    rows = np.arange(len(knot))
+    following = np.minimum(knot + 1, steps.shape[1] - 1)
+    due = steps[rows, following]
+    exists = (following > knot) & (due < _NEVER)
+    countdown = np.where(exists, (due - state.step[ids]) * self._timestep, np.inf)
+    modes = state.schedule_modes[ids][rows, following]
+    modes = np.where(exists, modes, state.mode[ids])
+    return countdown, self._latents[modes]
 
   def start_pose(
     self, ids: np.ndarray
@@ -207,12 +237,13 @@ class ModeTracker:
     """Returns position, orientation and velocity of the references of `ids`.
 
     In the world frame, [N, 3] metres, [N, 4] and [N, 3] m/s; to be called right
-    after `reset`, when the headings are zero.
+    after `reset`, when the headings are zero. See
+    `ReferenceBank.start_velocity`.
     """
     state = self.state
     modes, phases = state.mode[ids], state.phase[ids]
     local = self.bank.sample(modes, phases)
-    velocity = self.bank.velocity(modes, phases)
+    velocity = self.bank.start_velocity(modes, phases)
     return (
       state.anchor[ids] + local.position,
       local.orientation,

@@ -151,6 +151,57 @@ class ReferenceBankTest(parameterized.TestCase):
     np.testing.assert_allclose(velocity[0], expected, atol=1e-9)
     np.testing.assert_allclose(velocity[1], [0, 0, 0], atol=1e-9)
 
+  @parameterized.parameters(0.25, 0.4, 0.6, 0.74)
+  def test_free_flight_lands_where_the_reference_does(
+    self, phase: float
+  ) -> None:
+    """In the air from a quarter to three quarters of 2 s, then a contact."""
+    motion = _motion(
+      phases=[0.0, 0.25, 0.5, 0.75, 1.0],
+      positions=[
+        [0, 0, 0.5],
+        [0.4, 0, 0.7],
+        [0.6, 0.1, 1.0],
+        [1.0, 0.3, 0.8],
+        [1.2, 0.3, 0.5],
+      ],
+      orientations=[[1, 0, 0, 0]] * 5,
+      contacts=[[1, 1], [0, 0], [0, 0], [0, 1], [1, 1]],
+    )
+    bank = reference.ReferenceBank([_still(), motion])
+    modes, phases = np.array([1]), np.array([phase])
+    velocity = bank.start_velocity(modes, phases)[0]
+    # Too short a rest of the flight is taken for a 20th of a second.
+    start = min(phase, 0.75 - 0.025)
+    position = bank.sample(modes, np.array([start])).position[0]
+    time = (0.75 - start) * 2.0
+    landed = position + velocity * time - [0, 0, 0.5 * 9.81 * time**2]
+    np.testing.assert_allclose(landed, [1.0, 0.3, 0.8], atol=1e-9)
+
+  def test_the_ground_accelerates_up_to_the_take_off(self) -> None:
+    motion = _motion(
+      positions=[[0, 0, 0.5], [0, 0, 0.6], [0, 0, 0.8]],
+      orientations=[[1, 0, 0, 0]] * 3,
+      contacts=[[1, 1], [0, 0], [1, 1]],
+    )
+    bank = reference.ReferenceBank([motion])
+    phases = np.array([0.0, 0.125, 0.25 - 1e-9])
+    velocity = bank.start_velocity(np.zeros(3, int), phases)
+    # 1.5 s of flight: 0.2 m up and down again.
+    takeoff = 0.2 / 1.5 + 0.5 * 9.81 * 1.5
+    slope = 0.1 / 0.5
+    expected = [slope, (slope + takeoff) / 2, takeoff]
+    np.testing.assert_allclose(velocity[:, 2], expected, rtol=1e-6)
+    np.testing.assert_array_equal(velocity[:, :2], 0.0)
+
+  def test_flight_past_the_last_keyframe_ends_with_the_cycle(self) -> None:
+    motion = _motion(contacts=[[1, 0], [0, 0], [0, 0]])
+    bank = reference.ReferenceBank([motion])
+    velocity = bank.start_velocity(np.array([0]), np.array([0.5]))[0]
+    # Half a cycle, 1 s, from (0.6, 0.1, 0.6333) to (1, 0.3, 0.5).
+    expected = [0.4, 0.2, 0.5 - (0.7 - 0.2 / 3) + 0.5 * 9.81]
+    np.testing.assert_allclose(velocity, expected, atol=1e-9)
+
   def test_has_contacts(self) -> None:
     bank = reference.ReferenceBank([_motion(), _still()])
     sampled = bank.sample(np.array([1, 0]), np.array([0.0, 0.0]))

@@ -24,10 +24,18 @@ _SIZE = 2 + 3 + observations.STATE_SIZE
 _ABSENT = object()
 
 
-def _policy() -> pretrained.Policy:
+def _policy(
+  privileged_size: int = 0, activation: str = 'elu'
+) -> pretrained.Policy:
   torch.manual_seed(0)
-  network = networks.ActorCritic(_SIZE, observations.NUM_JOINTS, (16, 8))
-  network.normaliser.update(torch.randn(50, _SIZE))
+  network = networks.ActorCritic(
+    _SIZE,
+    observations.NUM_JOINTS,
+    (16, 8),
+    privileged_size=privileged_size,
+    activation=activation,
+  )
+  network.normaliser.update(torch.randn(50, _SIZE + privileged_size))
   latents = np.array([[0.1, -1.0, 2.0], [1 / 3, 0.5, 0.0]], np.float32)
   return pretrained.Policy(
     network,
@@ -107,6 +115,65 @@ def test_acts_as_before(folder: pathlib.Path) -> None:
   action = loaded.actor.select_action(parts)
   assert action.dtype == np.float64
   np.testing.assert_allclose(action, expected[0], atol=1e-6)
+
+
+def test_privileged_critic(folder: pathlib.Path) -> None:
+  policy = _policy(privileged_size=9)
+  policy.save(folder)
+  loaded = pretrained.load(folder)
+  assert loaded.network.privileged_size == 9
+  expected = policy.network.state_dict()
+  for key, value in loaded.network.state_dict().items():
+    assert torch.equal(value, expected[key]), key
+  seen = torch.randn(5, _SIZE + 9)
+  values = loaded.network.values(loaded.network.normaliser(seen))
+  known = policy.network.values(policy.network.normaliser(seen))
+  assert torch.equal(values, known)
+  # To act, nobody needs what only the value sees.
+  action = loaded.select_action(seen[:, :_SIZE].numpy())
+  np.testing.assert_array_equal(action, policy.select_action(seen.numpy()))
+
+
+@pytest.mark.parametrize('activation', ['elu', 'tanh'])
+def test_activation(folder: pathlib.Path, activation: str) -> None:
+  policy = _policy(activation=activation)
+  policy.save(folder)
+  loaded = pretrained.load(folder)
+  assert loaded.network.activation == activation
+  seen = np.random.RandomState(0).randn(5, _SIZE).astype(np.float32)
+  expected = policy.select_action(seen)
+  np.testing.assert_array_equal(loaded.select_action(seen), expected)
+  # The weights alone do not tell which it was.
+  other = {'elu': 'tanh', 'tanh': 'elu'}[activation]
+  _edit(folder, activation=other)
+  found = pretrained.load(folder).select_action(seen)
+  assert not np.allclose(found, expected)
+
+
+def test_description_of_an_earlier_version(folder: pathlib.Path) -> None:
+  """What is not said is as it was before there was a choice."""
+  assert {'activation', 'privileged_size'} <= json.loads(
+    _description(folder).read_text()
+  ).keys()
+  _edit(folder, privileged_size=_ABSENT, activation=_ABSENT)
+  network = pretrained.load(folder).network
+  assert (network.privileged_size, network.activation) == (0, 'elu')
+
+
+def test_weights_of_another_privileged_size(folder: pathlib.Path) -> None:
+  _edit(folder, privileged_size=2)
+  assert 'another network' in _refused(folder)
+  _policy(privileged_size=9).save(folder)
+  _edit(folder, privileged_size=_ABSENT)
+  assert 'another network' in _refused(folder)
+
+
+def test_shipped_policy_loads() -> None:
+  policy = pretrained.load('quickstart')
+  size = 2 + policy.codebook.latent_dim + observations.STATE_SIZE
+  assert policy.network.observation_size == size
+  seen = np.zeros((3, size), np.float32)
+  assert policy.select_action(seen).shape == (3, observations.NUM_JOINTS)
 
 
 def test_folder_of_a_run(folder: pathlib.Path) -> None:
@@ -264,6 +331,17 @@ def test_wrong_latent_size(
     ({'hidden_sizes': [float('inf')]}, 'damaged'),
     ({'hidden_sizes': ['wide']}, 'damaged'),
     ({'hidden_sizes': 16}, 'damaged'),
+    ({'activation': 'relu'}, 'unknown'),
+    ({'activation': None}, 'unknown'),
+    ({'activation': ['elu']}, 'damaged'),
+    ({'privileged_size': -1}, 'out of bounds'),
+    ({'privileged_size': 4097}, 'out of bounds'),
+    ({'privileged_size': 10**300}, 'out of bounds'),
+    ({'privileged_size': float('inf')}, 'damaged'),
+    ({'privileged_size': float('nan')}, 'damaged'),
+    ({'privileged_size': 'many'}, 'damaged'),
+    ({'privileged_size': None}, 'damaged'),
+    ({'privileged_size': [3]}, 'damaged'),
     ({'provenance': [1]}, 'damaged'),
     ({'format': _ABSENT}, 'not a policy of this version'),
     ({'format': 'dmc_multimode.policy.99'}, 'not a policy of this version'),

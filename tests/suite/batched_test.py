@@ -13,6 +13,7 @@ from absl.testing import absltest
 from absl.testing import parameterized
 from dm_control import composer
 import dm_env
+import mujoco
 import numpy as np
 
 from dmc_multimode.arenas import layouts
@@ -26,6 +27,7 @@ from dmc_multimode.suite import episodes
 from dmc_multimode.suite import imitation
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite import observations
+from dmc_multimode.suite import privileged
 from dmc_multimode.suite import rewards
 from dmc_multimode.suite import terminations
 
@@ -204,13 +206,14 @@ class ManyWorldsTest(parameterized.TestCase):
     count, steps = 5, 40
     # Steps are placed with noise from a generator that worlds share.
     task = _transitions(dataclasses.replace(_ENDLESS, edge_noise=0.0))
-    many = batched.BatchedImitation(task, count, 0, 2, auto_reset=False)
+    kwargs = {'auto_reset': False, 'privileged': True}
+    many = batched.BatchedImitation(task, count, 0, 2, **kwargs)
     many.reset()
     state = many.state()
     random = np.random.RandomState(1)
     actions = random.uniform(-0.5, 0.5, (steps, count, 10))
     together = [many.step(action) for action in actions]
-    alone = batched.BatchedImitation(task, 1, 0, 1, auto_reset=False)
+    alone = batched.BatchedImitation(task, 1, 0, 1, **kwargs)
     for world in range(count):
       alone.restore(_one_world(state, world))
       for step, action in zip(together, actions, strict=True):
@@ -234,10 +237,15 @@ def _one_world(
 
 
 class AutoResetTest(parameterized.TestCase):
-  def test_observations_at_the_seam(self) -> None:
+  @parameterized.parameters(False, True)
+  def test_observations_at_the_seam(self, more: bool) -> None:
     """What is observed after an end is the next episode's beginning."""
-    worlds = batched.BatchedImitation(_transitions(), 8, 0, 2)
-    plain = batched.BatchedImitation(_transitions(), 8, 0, 2, auto_reset=False)
+    worlds, plain = (
+      batched.BatchedImitation(
+        _transitions(), 8, 0, 2, auto_reset=again, privileged=more
+      )
+      for again in (True, False)
+    )
     np.testing.assert_array_equal(worlds.reset(), plain.reset())
     action = np.tile(worlds.standing_action(), (8, 1))
     while True:
@@ -252,8 +260,10 @@ class AutoResetTest(parameterized.TestCase):
     )
     on = ~step.last
     np.testing.assert_array_equal(step.observation[on], other.observation[on])
-    now = observations.flatten(worlds.core.observe(worlds.qpos, worlds.qvel))
-    np.testing.assert_array_equal(step.observation, now)
+    now = worlds.core.observe(worlds.qpos, worlds.qvel)
+    if more:
+      now |= worlds.core.observe_privileged(worlds.qpos)
+    np.testing.assert_array_equal(step.observation, observations.flatten(now))
     np.testing.assert_array_equal(
       worlds.core.tracker.state.step[ended], np.zeros(len(ended))
     )
@@ -316,18 +326,20 @@ class AutoResetTest(parameterized.TestCase):
 
 
 class StateTest(parameterized.TestCase):
-  def test_restored_worlds_go_on_bit_for_bit(self) -> None:
-    worlds = batched.BatchedImitation(_transitions(), 8, 0, 2)
+  @parameterized.parameters(False, True)
+  def test_restored_worlds_go_on_bit_for_bit(self, more: bool) -> None:
+    worlds = batched.BatchedImitation(_transitions(), 8, 0, 2, privileged=more)
     worlds.reset()
-    _rollout(worlds, 25)
+    seen = _rollout(worlds, 25)[-1].observation
     state = worlds.state()
     copies = {name: value.copy() for name, value in state.items()}
     first = _rollout(worlds, 50, seed=1)
     for name, value in state.items():
       np.testing.assert_array_equal(value, copies[name], err_msg=name)
-    other = batched.BatchedImitation(_transitions(), 8, 99, 1)
+    other = batched.BatchedImitation(_transitions(), 8, 99, 1, privileged=more)
     other.reset()
     observation = other.restore(state)
+    np.testing.assert_array_equal(observation, seen)
     second = _rollout(other, 50, seed=1)
     self.assertGreater(sum(step.last.sum() for step in first), 8)
     _assert_same(first, second)
@@ -352,7 +364,8 @@ class DivergenceTest(parameterized.TestCase):
   @parameterized.parameters('_poison_position', '_poison_velocity')
   def test_it_is_invalid(self, poison: str) -> None:
     sick, healthy = (
-      batched.BatchedImitation(_transitions(), 5, 0, 2) for _ in range(2)
+      batched.BatchedImitation(_transitions(), 5, 0, 2, privileged=True)
+      for _ in range(2)
     )
     sick.reset()
     healthy.reset()
@@ -378,10 +391,178 @@ class DivergenceTest(parameterized.TestCase):
       self.assertGreater(step.reward[2], 0.0)
 
 
+def _privileged_parts(observation: np.ndarray) -> dict[str, np.ndarray]:
+  """Cuts what follows the policy's observation into its parts."""
+  latents = (observation.shape[1] - 39) // 2
+  parts, start = {}, 33 + latents
+  for name, size in privileged.layout(latents):
+    parts[name] = observation[:, start : start + size]
+    start += size
+  return parts
+
+
+class PrivilegedTest(parameterized.TestCase):
+  def test_specs(self) -> None:
+    worlds = batched.BatchedImitation(_transitions(), 3, 0, 1, privileged=True)
+    self.assertEqual(worlds.privileged_size, 10)
+    self.assertEqual(worlds.observation_spec().shape, (47,))
+    self.assertEqual(worlds.reset().shape, (3, 47))
+
+  def test_policy_sees_what_it_saw_without(self) -> None:
+    plain, more = (
+      batched.BatchedImitation(_transitions(), 8, 0, 1, privileged=on)
+      for on in (False, True)
+    )
+    np.testing.assert_array_equal(more.reset()[:, :37], plain.reset())
+    steps = _rollout(more, 60)
+    cut = [
+      step._replace(
+        observation=step.observation[:, :37],
+        final_observation=step.final_observation[:, :37],
+      )
+      for step in steps
+    ]
+    self.assertGreater(sum(step.last.sum() for step in cut), 8)
+    _assert_same(cut, _rollout(plain, 60))
+
+  def test_position_error_and_contact(self) -> None:
+    """In every step and in every world, also right after a reset."""
+    worlds = batched.BatchedImitation(_transitions(), 8, 0, 1, privileged=True)
+    observation, touched = worlds.reset(), np.zeros((8, 2))
+    random, stand = np.random.RandomState(0), worlds.standing_action()
+    contacts, ends = [], 0
+    for _ in range(60):
+      parts, measured = _privileged_parts(observation), worlds.measure()
+      error = measured['position'] - measured['reference']
+      np.testing.assert_array_equal(
+        parts['position_error'], error.astype(np.float32)
+      )
+      np.testing.assert_array_equal(parts['contact'], touched)
+      step = worlds.step(stand + random.uniform(-0.4, 0.4, (8, 10)))
+      observation = step.observation
+      ended = step.results.worlds
+      touched = worlds.feet_contact()
+      touched[ended] = 0.0  # Their feet have not touched anything yet.
+      contacts.append(touched)
+      ends += len(ended)
+    self.assertGreater(ends, 8)
+    self.assertBetween(np.mean(contacts), 0.1, 0.9)
+
+  def test_contact_at_the_end_is_that_of_the_last_step(self) -> None:
+    limit = dataclasses.replace(_ENDLESS, time_limit=0.3)
+    worlds = batched.BatchedImitation(
+      _transitions(limit), 8, 0, 1, privileged=True
+    )
+    worlds.reset()
+    action = np.tile(worlds.standing_action(), (8, 1))
+    for _ in range(10):
+      step = worlds.step(action)
+    self.assertTrue(step.last.all())
+    before = _privileged_parts(step.final_observation)['contact']
+    self.assertGreater(before.sum(), 8)  # Most of them stand.
+    after = _privileged_parts(step.observation)['contact']
+    np.testing.assert_array_equal(after, np.zeros((8, 2)))
+
+  def test_countdown_through_switches(self) -> None:
+    """A step of 0.03 s; commands at steps 5 and 65, and none after that."""
+    modes = [0, 3, 7]
+    plan = schedule.ModeSchedule(
+      np.array([modes]), np.array([[0.0, 0.15, 1.95]]), np.ones(1)
+    )
+    task = multimode_biped.make_task(
+      _MOTIONS, _BOOK, episodes.ScheduledEpisodes(plan), config=_ENDLESS
+    )
+    worlds = batched.BatchedImitation(
+      task, 1, 0, 1, auto_reset=False, privileged=True
+    )
+    observation = worlds.reset()
+    for step in range(70):
+      runs = (step >= 5) + (step >= 65)
+      due = (5, 65, np.inf)[runs]
+      coming = modes[min(runs + 1, 2)]
+      parts, count = _privileged_parts(observation), len(_MOTIONS)
+      np.testing.assert_array_equal(
+        observation[:, 2 : 2 + count], _BOOK.latents[[modes[runs]]]
+      )
+      np.testing.assert_allclose(
+        parts['countdown'], [[min(0.03 * (due - step), 1.5)]], atol=_FLOAT32
+      )
+      np.testing.assert_array_equal(
+        parts['next_command'], _BOOK.latents[[coming]]
+      )
+      observation = worlds.step(worlds.standing_action()[None]).observation
+
+  def test_begins_anew_with_the_next_episode(self) -> None:
+    """After an automatic reset the countdown is that of the new schedule."""
+    plan = schedule.ModeSchedule(
+      np.array([[0, 1], [2, 3]]), np.array([[0.0, 0.9], [0.0, 0.6]]), np.ones(2)
+    )
+    task = multimode_biped.make_task(
+      _MOTIONS,
+      _BOOK,
+      episodes.ScheduledEpisodes(plan),
+      config=dataclasses.replace(_ENDLESS, time_limit=0.3),
+    )
+    worlds = batched.BatchedImitation(task, 2, 0, 1, privileged=True)
+    first = _privileged_parts(worlds.reset())
+    steps = _rollout(worlds, 10, spread=0.0)
+    self.assertTrue(steps[-1].last.all())
+    last = _privileged_parts(steps[-1].final_observation)
+    begun = _privileged_parts(steps[-1].observation)
+    np.testing.assert_allclose(first['countdown'], [[0.9], [0.6]], rtol=1e-6)
+    np.testing.assert_allclose(last['countdown'], [[0.6], [0.3]], rtol=1e-6)
+    np.testing.assert_array_equal(begun['countdown'], first['countdown'])
+    np.testing.assert_array_equal(begun['next_command'], _BOOK.latents[[1, 3]])
+
+
+class ModelTest(parameterized.TestCase):
+  """What only eyes look at is gone; ParityTest says that the rest stayed."""
+
+  def setUp(self) -> None:
+    super().setUp()
+    task = _transitions()
+    root = task.root_entity.mjcf_model
+    self.whole = mujoco.MjModel.from_xml_string(
+      root.to_xml_string(), root.get_assets()
+    )
+    self.model = batched.BatchedImitation(task, 1, 0, 1).model
+
+  def _colliding(self, model: mujoco.MjModel) -> list[str]:
+    collides = model.geom_contype | model.geom_conaffinity
+    return [model.geom(i).name for i in np.flatnonzero(collides)]
+
+  def test_nothing_is_there_to_be_looked_at(self) -> None:
+    model, whole = self.model, self.whole
+    self.assertGreater(whole.ncam * whole.nlight, 0)
+    self.assertLess(len(self._colliding(whole)), whole.ngeom)
+    self.assertEqual((model.ncam, model.nlight), (0, 0))
+    self.assertLen(self._colliding(model), model.ngeom)
+    self.assertEqual((model.nsite, model.nsensor), (2, 2))
+
+  def test_everything_that_moves_is_there(self) -> None:
+    model, whole = self.model, self.whole
+    self.assertEqual(self._colliding(model), self._colliding(whole))
+    for name in (
+      'body_mass',
+      'body_inertia',
+      'body_ipos',
+      'body_iquat',
+      'jnt_range',
+      'dof_damping',
+      'dof_frictionloss',
+      'actuator_gainprm',
+      'actuator_forcerange',
+    ):
+      np.testing.assert_array_equal(
+        getattr(model, name), getattr(whole, name), err_msg=name
+      )
+
+
 class SpecTest(parameterized.TestCase):
   def test_specs(self) -> None:
     worlds = batched.BatchedImitation(_transitions(), 3, 0, 1)
     self.assertEqual(worlds.observation_spec().shape, (37,))
+    self.assertEqual(worlds.privileged_size, 0)
     self.assertEqual(worlds.reset().shape, (3, 37))
     self.assertEqual(worlds.action_spec().shape, (10,))
     self.assertEqual(worlds.control_timestep, 0.03)

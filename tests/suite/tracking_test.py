@@ -194,6 +194,134 @@ class CommandTest(parameterized.TestCase):
     np.testing.assert_allclose(left, [0.42, 0.5, 0.75], atol=half)
 
 
+class UpcomingTest(parameterized.TestCase):
+  """What is commanded next; `_TIMESTEP` is 0.25 s."""
+
+  def _assert_upcoming(
+    self, tracker: tracking.ModeTracker, countdown: float, mode: int
+  ) -> None:
+    seconds, latents = tracker.upcoming()
+    np.testing.assert_array_equal(seconds, [countdown])
+    np.testing.assert_array_equal(latents, np.eye(4)[[mode]])
+
+  def _step(self, tracker: tracking.ModeTracker) -> None:
+    tracker.advance()
+    ids, modes = tracker.due()
+    tracker.command(ids, modes, np.zeros((len(ids), 3)), np.zeros(len(ids)))
+
+  def test_counts_down_from_command_to_command(self) -> None:
+    tracker = _started([_GO, _STAND, _JUMP], [0.0, 0.5, 1.25])
+    expected = [
+      (0.5, _STAND),
+      (0.25, _STAND),
+      (0.75, _JUMP),  # The second command has just been carried out.
+      (0.5, _JUMP),
+      (0.25, _JUMP),
+      (np.inf, _JUMP),  # And this was the last: the mode that runs now.
+      (np.inf, _JUMP),
+    ]
+    for countdown, mode in expected:
+      self._assert_upcoming(tracker, countdown, mode)
+      self._step(tracker)
+
+  def test_due_command_is_due_in_no_time(self) -> None:
+    tracker = _started([_GO, _STAND], [0.0, 0.25])
+    tracker.advance()
+    self._assert_upcoming(tracker, 0.0, _STAND)
+
+  @parameterized.parameters(1, 3)
+  def test_single_command(self, max_knots: int) -> None:
+    tracker = _tracker(max_knots=max_knots)
+    plan = schedule.single(np.array([_JUMP]))
+    tracker.reset(_FIRST, plan, np.zeros(1), np.zeros(1))
+    for _ in range(3):
+      self._assert_upcoming(tracker, np.inf, _JUMP)
+      self._step(tracker)
+
+  def test_shorter_schedule_forgets_the_longer_one(self) -> None:
+    tracker = _started([_GO, _STAND, _JUMP], [0.0, 0.25, 0.5])
+    plan = schedule.single(np.array([_TURN]))
+    tracker.reset(_FIRST, plan, np.zeros(1), np.zeros(1))
+    self._assert_upcoming(tracker, np.inf, _TURN)
+
+  def test_equal_command_is_told_of(self) -> None:
+    tracker = _started([_GO, _GO, _STAND], [0.0, 0.25, 0.75])
+    self._assert_upcoming(tracker, 0.25, _GO)
+    self._step(tracker)
+    self._assert_upcoming(tracker, 0.5, _STAND)
+
+  def test_rows_of_some_worlds(self) -> None:
+    tracker = _tracker(num_worlds=3)
+    plan = schedule.ModeSchedule(
+      np.array([[_GO, _STAND], [_JUMP, _GO], [_TURN, _JUMP]]),
+      np.array([[0.0, 0.5], [0.0, np.inf], [0.0, 1.0]]),
+      np.ones(3),
+    )
+    tracker.reset(np.arange(3), plan, np.zeros(3), np.zeros(3))
+    self._step(tracker)
+    countdown, latents = tracker.upcoming(np.array([2, 1]))
+    np.testing.assert_array_equal(countdown, [0.75, np.inf])
+    np.testing.assert_array_equal(latents, np.eye(4)[[_JUMP, _JUMP]])
+    countdown, latents = tracker.upcoming()
+    np.testing.assert_array_equal(countdown, [0.25, np.inf, 0.75])
+    np.testing.assert_array_equal(latents, np.eye(4)[[_STAND, _JUMP, _JUMP]])
+
+
+class RowsTest(parameterized.TestCase):
+  def test_reference_of_some_worlds(self) -> None:
+    motions = tuple(library.modes().values())
+    count = len(motions)
+    tracker = tracking.ModeTracker(
+      motions, codebook.one_hot(motions), 0.03, count, 1
+    )
+    random = np.random.RandomState(0)
+    tracker.reset(
+      np.arange(count),
+      schedule.single(np.arange(count)),
+      random.uniform(size=count),
+      random.uniform(size=count),
+    )
+    tracker.state.heading[:] = random.uniform(-3, 3, count)
+    tracker.state.anchor[:] = random.uniform(-3, 3, (count, 3))
+    every = tracker.reference()
+    self.assertGreater(np.ptp(every.position[:, :2]), 1.0)
+    for ids in (np.array([7, 2, 9]), np.zeros(0, dtype=np.int64), slice(3, 5)):
+      some = tracker.reference(ids)
+      for mine, expected in zip(some, every, strict=True):
+        np.testing.assert_array_equal(mine, expected[ids])
+
+  @parameterized.parameters(
+    ('idle', 0.5, False),
+    ('walk_forward', 0.3, False),  # One foot is enough.
+    ('hop_forward', 0.65, False),
+    ('hop_forward', 0.68, True),
+    ('leap_left', 0.41, False),
+    ('leap_left', 0.42, True),
+    ('leap_left', 0.69, True),
+    ('leap_left', 0.71, False),
+    ('launch', 0.81, True),
+    ('launch', 1.0, False),
+  )
+  def test_airborne(self, name: str, phase: float, expected: bool) -> None:
+    motions = tuple(library.modes().values())
+    tracker = tracking.ModeTracker(
+      motions, codebook.one_hot(motions), 0.03, 2, 1
+    )
+    mode = tracker.bank.index(name)
+    # The other world stands, whatever its phase.
+    plan = schedule.single(np.array([tracker.bank.index('idle'), mode]))
+    both = np.arange(2)
+    tracker.reset(both, plan, np.array([0.5, phase]), np.zeros(2))
+    np.testing.assert_array_equal(tracker.airborne(both), [False, expected])
+    np.testing.assert_array_equal(
+      tracker.airborne(both[::-1]), [expected, False]
+    )
+
+  def test_mode_without_contacts_is_never_airborne(self) -> None:
+    tracker = _started([_JUMP], phase=0.5)
+    np.testing.assert_array_equal(tracker.airborne(_FIRST), [False])
+
+
 class ResetTest(parameterized.TestCase):
   def test_worlds_are_independent(self) -> None:
     tracker = _tracker(num_worlds=3)

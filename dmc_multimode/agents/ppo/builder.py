@@ -23,32 +23,39 @@ class PPOBuilder:
     observation_spec: specs.Array,
     action_spec: specs.Array,
     initial_action: np.ndarray | None = None,
+    privileged_size: int = 0,
   ) -> networks.ActorCritic:
     """Returns freshly initialised networks for these specs.
 
     Args:
-      observation_spec: one world's observation, [D].
+      observation_spec: one world's observation, with what is privileged, [D].
       action_spec: one world's action, [A].
       initial_action: what the policy does before it learns, [A].
+      privileged_size: how many of the last numbers only the value sees.
     """
     with torch.random.fork_rng(devices=[]):
       torch.manual_seed(self._seed)
       return networks.ActorCritic(
-        observation_spec.shape[0],
+        observation_spec.shape[0] - privileged_size,
         action_spec.shape[0],
         self._config.hidden_sizes,
         self._config.initial_std,
         self._config.min_std,
         initial_action,
+        privileged_size,
+        self._config.activation,
       )
 
   def make_learner(
     self,
     network: networks.ActorCritic,
     mirror: symmetry.Mirror | None = None,
+    commands: symmetry.Commands | None = None,
   ) -> learning.PPOLearner:
     """Returns a learner that updates `network` in place."""
-    return learning.PPOLearner(network, self._config, self._seed + 1, mirror)
+    return learning.PPOLearner(
+      network, self._config, self._seed + 1, mirror, commands
+    )
 
   def make_actor(self, network: networks.ActorCritic) -> acting.BatchedActor:
     """Returns an actor that explores with `network`."""

@@ -3,7 +3,9 @@
 import dataclasses
 import math
 
-SYMMETRIES = ('none', 'augment')
+ACTIVATIONS = ('elu', 'tanh')
+SYMMETRIES = ('none', 'augment', 'alternate')
+ADVANTAGES = ('all', 'mode')
 
 
 @dataclasses.dataclass(frozen=True)
@@ -12,6 +14,7 @@ class PPOConfig:
 
   Attributes:
     hidden_sizes: widths of the hidden layers of policy and value networks.
+    activation: of the hidden layers: 'tanh', or 'elu', which costs a CPU more.
     rollout_length: control steps a world and iteration.
     discount: gamma.
     gae_lambda: lambda of generalised advantage estimation.
@@ -33,10 +36,17 @@ class PPOConfig:
     anneal_start, anneal_end: control steps of all worlds together between which
       the floor falls, geometrically, from `min_std` to `final_min_std`.
     learn_std: whether the standard deviation is learned, or stays as it is.
-    symmetry: 'augment' adds the left-right mirror image of every sample.
+    symmetry: 'augment' adds the left-right mirror image of every sample;
+      'alternate' shows each pass either the sample or its image, at half of the
+      cost.
+    privileged_critic: whether the value function sees more than the policy, if
+      the environment has more to show.
+    advantages: normalised over 'all' samples, or over those of each 'mode', so
+      that no mode's advantages outweigh the others'.
   """
 
   hidden_sizes: tuple[int, ...] = (256, 128)
+  activation: str = 'tanh'
   rollout_length: int = 32
   discount: float = 0.97
   gae_lambda: float = 0.95
@@ -57,6 +67,8 @@ class PPOConfig:
   anneal_end: int = 0
   learn_std: bool = True
   symmetry: str = 'none'
+  privileged_critic: bool = True
+  advantages: str = 'all'
 
   def __post_init__(self) -> None:
     positive = (
@@ -91,10 +103,15 @@ class PPOConfig:
       )
     if not self.hidden_sizes or min(self.hidden_sizes) < 1:
       raise ValueError('hidden_sizes needs at least one positive width.')
-    if self.symmetry not in SYMMETRIES:
-      raise ValueError(
-        f'symmetry {self.symmetry!r} is not one of {SYMMETRIES}.'
-      )
+    for name, known in (
+      ('activation', ACTIVATIONS),
+      ('symmetry', SYMMETRIES),
+      ('advantages', ADVANTAGES),
+    ):
+      if getattr(self, name) not in known:
+        raise ValueError(
+          f'{name} {getattr(self, name)!r} is not one of {known}.'
+        )
 
   def std_floor(self, steps: int) -> float:
     """Returns the floor of the standard deviation after `steps`, radians."""

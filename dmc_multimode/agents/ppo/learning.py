@@ -1,7 +1,8 @@
 """The PPO learner: one step is one iteration over one batch of rollouts."""
 
+import functools
 import math
-from typing import Any, Mapping, NamedTuple
+from typing import Any, Iterator, Mapping, NamedTuple
 
 import torch
 from torch import nn
@@ -62,6 +63,7 @@ class PPOLearner:
     config: config_lib.PPOConfig,
     seed: int,
     mirror: symmetry.Mirror | None = None,
+    commands: symmetry.Commands | None = None,
   ):
     """Creates the optimiser.
 
@@ -69,16 +71,20 @@ class PPOLearner:
       network: what is learned.
       config: hyperparameters.
       seed: of the minibatches.
-      mirror: needed for `config.symmetry` 'augment'.
+      mirror: needed where `config.symmetry` is not 'none'.
+      commands: needed where `config.advantages` is 'mode'.
 
     Raises:
       ValueError: symmetry is asked for without a mirror.
     """
     if config.symmetry != 'none' and mirror is None:
       raise ValueError('symmetry needs an environment that knows its mirror.')
+    if config.advantages == 'mode' and commands is None:
+      raise ValueError('advantages by mode need the latents of the modes.')
     self.network = network
     self._config = config
-    self._mirror = mirror if config.symmetry == 'augment' else None
+    self._mirror = mirror if config.symmetry != 'none' else None
+    self._commands = commands
     self._generator = torch.Generator().manual_seed(seed)
     network.log_std.requires_grad_(config.learn_std)
     self._parameters = [p for p in network.parameters() if p.requires_grad]
@@ -124,18 +130,34 @@ class PPOLearner:
   def _epochs(self, samples: _Samples) -> list[dict[str, torch.Tensor]]:
     """Passes over the samples; returns the metrics of every minibatch."""
     metrics = []
-    for _ in range(self._config.epochs):
-      order = torch.randperm(len(samples.advantages), generator=self._generator)
+    for order in self._orders(len(samples.advantages)):
       for ids in order.chunk(self._config.minibatches):
         metrics.append(self._update(samples.rows(ids)))
     return metrics
+
+  def _orders(self, count: int) -> Iterator[torch.Tensor]:
+    """Yields, for every pass, which of `count` samples it takes, in order."""
+    shuffle = functools.partial(torch.randperm, generator=self._generator)
+    if self._config.symmetry != 'alternate':
+      for _ in range(self._config.epochs):
+        yield shuffle(count)
+      return
+    half = count // 2  # The images follow the originals.
+    side = torch.zeros(half, dtype=torch.int64)
+    for epoch in range(self._config.epochs):
+      if epoch % 2 == 0:
+        side.random_(0, 2, generator=self._generator)
+      else:
+        side = 1 - side
+      order = shuffle(half)
+      yield order + half * side[order]
 
   @torch.no_grad()
   def _prepare(self, rollouts: Rollouts) -> _Samples:
     """Computes advantages and targets; flattens; adds mirror images."""
     config, network = self._config, self.network
     seen = network.normaliser(rollouts.observations)
-    values = network.value(seen).squeeze(-1)
+    values = network.values(seen)
     next_values = self._next_values(rollouts, values)
     # In units of 1 - gamma a value is a mean reward: of order one, any gamma.
     advantages = losses.generalised_advantages(
@@ -154,9 +176,13 @@ class PPOLearner:
       advantages.flatten(),
       (advantages + values).flatten(),
     )
-    scale = samples.advantages.std() + 1e-8
-    centred = (samples.advantages - samples.advantages.mean()) / scale
-    samples = samples._replace(advantages=centred)
+    groups = None
+    if config.advantages == 'mode':
+      assert self._commands is not None  # So says the constructor.
+      groups = self._commands.modes(rollouts.observations.flatten(0, 1))
+    samples = samples._replace(
+      advantages=losses.normalised(samples.advantages, groups)
+    )
     return self._with_mirror_images(samples, rollouts)
 
   def _next_values(
@@ -168,7 +194,7 @@ class PPOLearner:
     cut = rollouts.last.clone()
     cut[-1] = True
     ends = self.network.normaliser(rollouts.next_observations[cut])
-    next_values[cut] = self.network.value(ends).squeeze(-1)
+    next_values[cut] = self.network.values(ends)
     return next_values
 
   def _with_mirror_images(
@@ -188,13 +214,13 @@ class PPOLearner:
 
   def _update(self, batch: _Samples) -> dict[str, torch.Tensor]:
     config, network = self._config, self.network
-    mean = network.policy(batch.observations)
+    mean = network.mean(batch.observations)
     std = network.std
     terms = losses.ppo_losses(
       networks.log_prob(batch.actions, mean, std),
       batch.log_probs,
       batch.advantages,
-      network.value(batch.observations).squeeze(-1),
+      network.values(batch.observations),
       batch.targets,
       std,
       config.clip,
@@ -229,7 +255,7 @@ class PPOLearner:
       networks.kl_divergence(
         probe.means,
         old_std,
-        self.network.policy(probe.observations),
+        self.network.mean(probe.observations),
         self.network.std,
       ).mean()
     )

@@ -40,6 +40,25 @@ def generalised_advantages(
   return advantages
 
 
+def normalised(
+  advantages: torch.Tensor, groups: torch.Tensor | None = None
+) -> torch.Tensor:
+  """Shifts and scales advantages to mean 0 and standard deviation 1.
+
+  Args:
+    advantages: [N].
+    groups: index of the group in which each is normalised, [N]; one by default.
+  """
+  if groups is None:
+    return (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+  result = torch.zeros_like(advantages)
+  for group in groups.unique():
+    mine = groups == group
+    if mine.sum() > 1:
+      result[mine] = normalised(advantages[mine])
+  return result
+
+
 class Losses(NamedTuple):
   """Scalars; `policy`, `value` and `entropy` make up the objective."""
 

@@ -7,6 +7,7 @@ import torch
 from torch import nn
 
 _VARIANCE_FLOOR = 1e-4
+ACTIVATIONS = {'elu': nn.ELU, 'tanh': nn.Tanh}
 _CLIP = 8.0  # Normalised observations beyond this many sigmas are cut off.
 
 
@@ -25,9 +26,10 @@ class Normaliser(nn.Module):
     self.register_buffer('count', torch.zeros((), dtype=torch.float64))
 
   def forward(self, observation: torch.Tensor) -> torch.Tensor:
-    """Normalises observations [..., D]."""
-    scale = torch.rsqrt(self.variance + _VARIANCE_FLOOR)
-    return ((observation - self.mean) * scale).clamp_(-_CLIP, _CLIP)
+    """Normalises observations [..., D], or the first so many numbers of them."""
+    size = observation.shape[-1]
+    scale = torch.rsqrt(self.variance[:size] + _VARIANCE_FLOOR)
+    return ((observation - self.mean[:size]) * scale).clamp_(-_CLIP, _CLIP)
 
   @torch.no_grad()
   def update(self, observations: torch.Tensor) -> None:
@@ -43,12 +45,12 @@ class Normaliser(nn.Module):
     self.count.copy_(total)
 
 
-def mlp(sizes: tuple[int, ...]) -> nn.Sequential:
-  """A multi-layer perceptron with ELU between its layers."""
+def mlp(sizes: tuple[int, ...], activation: str = 'elu') -> nn.Sequential:
+  """A multi-layer perceptron, with an activation of `ACTIVATIONS` in between."""
   layers: list[nn.Module] = []
   for i, (fan_in, fan_out) in enumerate(zip(sizes, sizes[1:], strict=False)):
     if i:
-      layers.append(nn.ELU())
+      layers.append(ACTIVATIONS[activation]())
     layers.append(nn.Linear(fan_in, fan_out))
   return nn.Sequential(*layers)
 
@@ -59,7 +61,11 @@ def linears_of(network: nn.Sequential) -> list[nn.Linear]:
 
 
 class ActorCritic(nn.Module):
-  """pi(a | o) = N(mean(o), std^2) and v(o), two separate networks."""
+  """pi(a | o) = N(mean(o), std^2) and v(o, p), two separate networks.
+
+  Where there is privileged information p, it follows the observation o in one
+  vector; only the value sees it, and acting does without.
+  """
 
   def __init__(
     self,
@@ -69,21 +75,32 @@ class ActorCritic(nn.Module):
     initial_std: float = 0.25,
     min_std: float = 0.1,
     initial_action: np.ndarray | None = None,
+    privileged_size: int = 0,
+    activation: str = 'elu',
   ):
     """Initialises orthogonally; the first actions are close to one point.
 
     Args:
-      observation_size: D.
+      observation_size: D, without privileged information.
       action_size: A.
       hidden_sizes: of both networks.
       initial_std: of the actions.
       min_std: floor of the standard deviation.
       initial_action: what the policy does before it learns, [A]; zero if None.
+      privileged_size: P, how much more the value sees.
+      activation: of the hidden layers, a name in `ACTIVATIONS`.
     """
     super().__init__()
-    self.normaliser = Normaliser(observation_size)
-    self.policy = mlp((observation_size, *hidden_sizes, action_size))
-    self.value = mlp((observation_size, *hidden_sizes, 1))
+    self.observation_size = observation_size
+    self.privileged_size = privileged_size
+    self.normaliser = Normaliser(observation_size + privileged_size)
+    self.activation = activation
+    self.policy = mlp(
+      (observation_size, *hidden_sizes, action_size), activation
+    )
+    self.value = mlp(
+      (observation_size + privileged_size, *hidden_sizes, 1), activation
+    )
     self.log_std = nn.Parameter(
       torch.full((action_size,), float(np.log(initial_std)))
     )
@@ -104,8 +121,20 @@ class ActorCritic(nn.Module):
     return self.log_std.clamp(min=float(np.log(self.min_std))).exp()
 
   def act(self, observation: torch.Tensor) -> torch.Tensor:
-    """Returns the mean actions for raw observations, [B, D] -> [B, A]."""
-    return self.policy(self.normaliser(observation))
+    """Returns the mean actions for raw observations [..., D], [..., A].
+
+    Privileged information may follow the observations; it is not looked at.
+    """
+    seen = observation[..., : self.observation_size]
+    return self.policy(self.normaliser(seen))
+
+  def mean(self, seen: torch.Tensor) -> torch.Tensor:
+    """Returns the mean actions for normalised [..., D + P], [..., A]."""
+    return self.policy(seen[..., : self.observation_size])
+
+  def values(self, seen: torch.Tensor) -> torch.Tensor:
+    """Returns the values of normalised [..., D + P], [...]."""
+    return self.value(seen).squeeze(-1)
 
 
 class Sample(NamedTuple):

@@ -11,7 +11,8 @@ class MirrorImage(Protocol):
 
   The observation begins with a clock (2) and the latent of a mode (n_m), which
   are mirrored by the mode: `mirrored_modes` [M] gives each mode's image,
-  `clock_signs` [M] is -1 where that image runs half a cycle out of phase.
+  `clock_signs` [M] is -1 where that image runs half a cycle out of phase. All
+  latents in the observation, which start at `commands`, are mirrored so.
   """
 
   @property
@@ -38,6 +39,25 @@ class MirrorImage(Protocol):
   def clock_signs(self) -> np.ndarray:
     """Signs of the clock by mode, [M]."""
 
+  @property
+  def commands(self) -> tuple[int, ...]:
+    """Where latents of modes begin; the first is that of the running mode."""
+
+
+class Commands:
+  """Tells which mode an observation commands, by its latent."""
+
+  def __init__(self, latents: np.ndarray, start: int = 2):
+    """Knows the modes' `latents`, [M, n_m], which observations have at `start`.
+    """
+    self._latents = torch.tensor(latents)
+    self.part = slice(start, start + latents.shape[1])
+
+  def modes(self, observations: torch.Tensor) -> torch.Tensor:
+    """Returns indices of modes for raw observations [N, D], [N]."""
+    command = observations[:, self.part]
+    return torch.cdist(command, self._latents).argmin(dim=1)
+
 
 class Mirror:
   """Mirrors batches of raw observations and of actions."""
@@ -48,18 +68,17 @@ class Mirror:
     self._signs = torch.from_numpy(image.observation_signs)
     self._action_order = torch.from_numpy(image.action_order)
     self._action_signs = torch.from_numpy(image.action_signs)
-    self._latents = torch.tensor(latents)
-    self._mirrored = self._latents[torch.from_numpy(image.mirrored_modes)]
+    self._mirrored = torch.tensor(latents)[torch.from_numpy(image.mirrored_modes)]
     self._clock_signs = torch.from_numpy(image.clock_signs)
-    self._command = slice(2, 2 + latents.shape[1])
+    self._commands = [Commands(latents, start) for start in image.commands]
 
   def observations(self, observations: torch.Tensor) -> torch.Tensor:
     """Mirrors raw observations, [N, D]."""
     mirrored = observations[:, self._order] * self._signs
-    command = observations[:, self._command]
-    mode = torch.cdist(command, self._latents).argmin(dim=1)
-    mirrored[:, self._command] = self._mirrored[mode]
-    mirrored[:, :2] = observations[:, :2] * self._clock_signs[mode, None]
+    modes = [commands.modes(observations) for commands in self._commands]
+    for commands, mode in zip(self._commands, modes, strict=True):
+      mirrored[:, commands.part] = self._mirrored[mode]
+    mirrored[:, :2] = observations[:, :2] * self._clock_signs[modes[0], None]
     return mirrored
 
   def actions(self, actions: torch.Tensor) -> torch.Tensor:

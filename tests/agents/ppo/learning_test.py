@@ -35,9 +35,18 @@ def _one_thread() -> Iterator[None]:
   torch.set_num_threads(before)
 
 
-def _network(config: config_lib.PPOConfig = _CONFIG) -> networks.ActorCritic:
+def _network(
+  config: config_lib.PPOConfig = _CONFIG, privileged_size: int = 0
+) -> networks.ActorCritic:
+  """Of observations of _D numbers, of which the last may be privileged."""
   torch.manual_seed(0)
-  return networks.ActorCritic(_D, _A, config.hidden_sizes, config.initial_std)
+  return networks.ActorCritic(
+    _D - privileged_size,
+    _A,
+    config.hidden_sizes,
+    config.initial_std,
+    privileged_size=privileged_size,
+  )
 
 
 def _learner(**changes: Any) -> learning.PPOLearner:
@@ -280,7 +289,7 @@ def _expected_value_loss(
 ) -> float:
   """The same by a plain loop, in float64."""
   gamma, flow = _CONFIG.discount, _CONFIG.gae_lambda
-  value = lambda seen: network.value(network.normaliser(seen)).item()
+  value = lambda seen: network.values(network.normaliser(seen)).item()
   total = 0.0
   for world in range(_B):
     running = 0.0
@@ -302,23 +311,81 @@ def _expected_value_loss(
   return total / (_T * _B)
 
 
-def test_timeouts_are_bootstrapped_from_what_was_seen_last() -> None:
-  data = _rollouts(_network())
+@pytest.mark.parametrize('privileged_size', [0, 1])
+def test_timeouts_are_bootstrapped_from_what_was_seen_last(
+  privileged_size: int,
+) -> None:
+  network = lambda: _network(privileged_size=privileged_size)
+  data = _rollouts(network())
   timed_out = data.last & (data.discounts > 0)
   assert timed_out[:-1].any() and (data.last & ~timed_out).any()
-  expected = _expected_value_loss(_network(), data)
-  assert _value_loss(_network(), data) == pytest.approx(expected, rel=1e-4)
+  expected = _expected_value_loss(network(), data)
+  assert _value_loss(network(), data) == pytest.approx(expected, rel=1e-4)
 
   def changed(where: torch.Tensor) -> bool:
     seen = data.next_observations.clone()
     seen[where] += 3.0
+    seen[where, : _D - privileged_size] -= 3.0 * (privileged_size > 0)
     other = data._replace(next_observations=seen)
-    return _value_loss(_network(), other) != pytest.approx(expected, rel=1e-4)
+    return _value_loss(network(), other) != pytest.approx(expected, rel=1e-4)
 
   inner = torch.arange(_T)[:, None] < _T - 1
   assert changed(timed_out & inner)
   assert not changed(data.last & ~timed_out)
   assert not changed(~data.last & inner)  # There it is the next observation.
+
+
+# An asymmetric critic: of three numbers the last is seen by the value alone.
+
+
+def test_builder_divides_the_observation() -> None:
+  environment = toy.TargetEnvironment(
+    4, lambda seen: seen[:, :_A], lambda rng, count: rng.randn(count, _D)
+  )
+  network = builder.PPOBuilder(_CONFIG, seed=0).make_networks(
+    environment.observation_spec(),
+    environment.action_spec(),
+    privileged_size=1,
+  )
+  assert (network.observation_size, network.privileged_size) == (_D - 1, 1)
+  assert network.normaliser.mean.shape == (_D,)
+
+
+@pytest.mark.parametrize('activation', config_lib.ACTIVATIONS)
+def test_builder_passes_the_activation_on(activation: str) -> None:
+  environment = toy.TargetEnvironment(
+    4, lambda seen: seen[:, :_A], lambda rng, count: rng.randn(count, _D)
+  )
+  config = dataclasses.replace(_CONFIG, activation=activation)
+  network = builder.PPOBuilder(config, seed=0).make_networks(
+    environment.observation_spec(), environment.action_spec()
+  )
+  assert network.activation == activation
+
+
+def test_asymmetric_critic_explains_what_the_policy_does_not_see() -> None:
+  """The reward depends on the last number, and not on any action."""
+  remaining = {}
+  for privileged_size in (0, 1):
+    network = _network(privileged_size=privileged_size)
+    if not privileged_size:
+      network = networks.ActorCritic(_D - 1, _A, (16,))
+    config = dataclasses.replace(
+      _CONFIG, discount=0.0, learning_rate=1e-2, target_kl=0.0, minibatches=1
+    )
+    learner = learning.PPOLearner(network, config, seed=0)
+    for seed in range(60):
+      data = _rollouts(_network(privileged_size=1), seed)
+      data = data._replace(rewards=data.observations[..., -1])
+      if not privileged_size:
+        data = data._replace(
+          observations=data.observations[..., :-1],
+          next_observations=data.next_observations[..., :-1],
+        )
+      metrics = learner.step(data)
+    remaining[privileged_size] = metrics['loss/value']
+  assert remaining[0] > 0.5  # The reward's variance is 1.
+  assert remaining[1] < 0.1
 
 
 # State.
@@ -392,6 +459,8 @@ def test_acting() -> None:
     ({'hidden_sizes': ()}, 'hidden_sizes'),
     ({'hidden_sizes': (16, 0)}, 'hidden_sizes'),
     ({'symmetry': 'both'}, 'symmetry'),
+    ({'advantages': 'world'}, 'advantages'),
+    ({'activation': 'relu'}, 'activation'),
   ],
 )
 def test_config_rejects(changes: dict[str, Any], message: str) -> None:
@@ -399,9 +468,107 @@ def test_config_rejects(changes: dict[str, Any], message: str) -> None:
     config_lib.PPOConfig(**changes)
 
 
-def test_symmetry_needs_a_mirror() -> None:
+@pytest.mark.parametrize('kind', ['augment', 'alternate'])
+def test_symmetry_needs_a_mirror(kind: str) -> None:
   with pytest.raises(ValueError, match='mirror'):
-    _learner(symmetry='augment')
+    _learner(symmetry=kind)
+
+
+def test_advantages_by_mode_need_the_commands() -> None:
+  with pytest.raises(ValueError, match='latents of the modes'):
+    _learner(advantages='mode')
+
+
+# Commands and advantages by mode.
+
+
+@pytest.mark.parametrize('start', [0, 2])
+def test_commands_by_hand(start: int) -> None:
+  latents = np.array([[0.0, 1.0], [1.0, 0.0], [1.0, 1.0]], np.float32)
+  commands = symmetry.Commands(latents, start)
+  observations = torch.full((5, 6), 0.5)
+  observations[:, start : start + 2] = torch.tensor(latents)[[2, 0, 0, 1, 2]]
+  assert commands.modes(observations).tolist() == [2, 0, 0, 1, 2]
+  assert commands.part == slice(start, start + 2)
+
+
+def test_commands_of_the_observation_by_default() -> None:
+  assert symmetry.Commands(np.eye(3, dtype=np.float32)).part == slice(2, 5)
+
+
+def test_commands_of_close_latents() -> None:
+  """The shipped latents are told apart in large batches too."""
+  latents = multimode_biped.library_codebook().latents
+  modes = np.random.RandomState(0).randint(len(latents), size=3000)
+  observations = torch.zeros(3000, 40)
+  observations[:, 2 : 2 + latents.shape[1]] = torch.tensor(latents)[modes]
+  found = symmetry.Commands(latents).modes(observations)
+  np.testing.assert_array_equal(found, modes)
+
+
+class _Recording(learning.PPOLearner):
+  """Keeps the minibatches, and learns nothing from them."""
+
+  def __init__(self, *args: Any, **kwargs: Any):
+    super().__init__(*args, **kwargs)
+    self.batches: list[Any] = []
+
+  def _update(self, batch: Any) -> dict[str, torch.Tensor]:
+    self.batches.append(batch)
+    return {'loss/policy': torch.zeros(())}
+
+
+def _commanded_rollouts(
+  network: networks.ActorCritic, count: int
+) -> learning.Rollouts:
+  """Rollouts of [clock, clock, latent, x] and one action, of one step each.
+
+  Actions, log-probabilities and rewards are all different, x is positive.
+  """
+  rng = np.random.RandomState(0)
+  seen = rng.uniform(0.5, 1.5, (1, count, 4)).astype(np.float32)
+  seen[..., 2] = rng.choice([-1.0, 1.0, 0.0], count)
+  numbers = torch.from_numpy(rng.uniform(1, 2, (4, 1, count)).astype('f4'))
+  network.normaliser.update(torch.from_numpy(5.0 + 0.1 * seen[0]))
+  return learning.Rollouts(
+    observations=torch.from_numpy(seen),
+    actions=numbers[0, ..., None],
+    log_probs=-numbers[1],
+    means=numbers[2, ..., None],
+    rewards=numbers[3],
+    discounts=torch.ones(1, count),
+    last=torch.ones(1, count, dtype=torch.bool),
+    next_observations=torch.from_numpy(seen),
+  )
+
+
+@pytest.mark.parametrize('kind', config_lib.ADVANTAGES)
+def test_advantages_are_normalised_over_all_or_by_mode(kind: str) -> None:
+  config = dataclasses.replace(
+    _CONFIG, advantages=kind, epochs=1, minibatches=1
+  )
+  network = networks.ActorCritic(4, 1, (8,))
+  commands = symmetry.Commands(np.array([[-1.0], [1.0], [0.0]], np.float32))
+  learner = _Recording(network, config, 0, commands=commands)
+  data = _commanded_rollouts(network, 120)
+  data.rewards[data.observations[..., 2] == 1.0] *= 100.0
+  learner.step(data)
+  (batch,) = learner.batches
+  # By their log-probabilities, samples are known again in their new order.
+  order = torch.argsort(data.log_probs[0])[
+    torch.argsort(torch.argsort(batch.log_probs))
+  ]
+  modes = data.observations[0, order, 2]
+  mine = [batch.advantages[modes == mode] for mode in (-1.0, 0.0, 1.0)]
+  spread = torch.stack([advantages.std() for advantages in mine])
+  shift = torch.stack([advantages.mean().abs() for advantages in mine])
+  if kind == 'mode':
+    torch.testing.assert_close(spread, torch.ones(3))
+    torch.testing.assert_close(shift, torch.zeros(3), atol=1e-5, rtol=0.0)
+  else:
+    assert batch.advantages.std().item() == pytest.approx(1.0)
+    assert spread[0] < 0.1 < spread[2]
+    assert shift.max() > 0.5
 
 
 # Symmetry.
@@ -431,6 +598,69 @@ def test_toy_mirror_by_hand() -> None:
   assert mirror.actions(torch.tensor([[2.0]])) == -2.0
 
 
+def _recorded_passes(
+  kind: str, epochs: int, count: int = 30
+) -> list[np.ndarray]:
+  """What each pass learns from: rows of [x, action, mean, ...], sorted."""
+  config = dataclasses.replace(
+    _CONFIG, symmetry=kind, epochs=epochs, minibatches=4
+  )
+  torch.manual_seed(0)
+  network = networks.ActorCritic(4, 1, (8,))
+  data = _commanded_rollouts(network, count)
+  network.normaliser.load_state_dict(networks.Normaliser(4).state_dict())
+  learner = _Recording(network, config, 0, _toy_mirror())
+  learner.step(data)
+  assert len(learner.batches) == 4 * epochs
+  rows = [
+    np.column_stack([field.reshape(len(b.targets), -1) for field in b])
+    for b in learner.batches
+  ]
+  passes = [np.concatenate(rows[4 * i : 4 * i + 4]) for i in range(epochs)]
+  # Rows of [clock, clock, latent, x, action, log-probability, mean, ...].
+  return [each[np.lexsort((each[:, 3], each[:, 5]))] for each in passes]
+
+
+@pytest.mark.parametrize('count', [30, 31])
+def test_alternate_shows_each_sample_and_its_image_once(count: int) -> None:
+  passes = _recorded_passes('alternate', 4, count)
+  (everything,) = _recorded_passes('augment', 1, count)
+  assert len(everything) == 2 * count
+  sides = []
+  for first, second in (passes[:2], passes[2:]):
+    for each in (first, second):
+      assert len(each) == count
+      assert len(np.unique(each[:, 5])) == count  # No sample twice.
+    both = np.concatenate([first, second])
+    both = both[np.lexsort((both[:, 3], both[:, 5]))]
+    np.testing.assert_array_equal(both, everything)
+    # A pass has some samples as they are, and of others the image.
+    sides.append(first[:, 3] > 0)
+    assert 0.2 < sides[-1].mean() < 0.8
+  assert (sides[0] != sides[1]).any()
+
+
+def test_alternate_of_an_odd_number_of_passes() -> None:
+  passes = _recorded_passes('alternate', 3)
+  assert [len(each) for each in passes] == [30] * 3
+  assert len(np.unique(passes[2][:, 5])) == 30
+
+
+def test_images_by_hand() -> None:
+  """Other than x, actions and the mode, an image is what its sample is."""
+  (everything,) = _recorded_passes('augment', 1)
+  images, samples = everything[::2], everything[1::2]
+  signs = np.ones(everything.shape[1])
+  signs[[3, 4, 6]] = -1.0  # x, action and mean.
+  normalised = samples[:, 2].round(3)
+  np.testing.assert_array_equal(np.unique(normalised), [-1.0, 0.0, 1.0])
+  clock = np.where(normalised == 0.0, -1.0, 1.0)
+  expected = samples * signs
+  expected[:, :2] *= clock[:, None]
+  expected[:, 2] *= -1.0
+  np.testing.assert_allclose(images, expected, atol=1e-6)
+
+
 def _only_left(rng: np.random.RandomState, count: int) -> np.ndarray:
   """The first mode alone, with positive x."""
   clock = rng.uniform(-1, 1, (count, 2))
@@ -438,7 +668,7 @@ def _only_left(rng: np.random.RandomState, count: int) -> np.ndarray:
   return np.concatenate([clock, -np.ones((count, 1)), x], axis=1)
 
 
-@pytest.mark.parametrize('kind', ['none', 'augment'])
+@pytest.mark.parametrize('kind', config_lib.SYMMETRIES)
 def test_mirror_images_teach_the_other_side(kind: str) -> None:
   target = lambda seen: np.full((len(seen), 1), 0.4)
   environment = toy.TargetEnvironment(16, target, _only_left)
@@ -450,6 +680,8 @@ def test_mirror_images_teach_the_other_side(kind: str) -> None:
     learning_rate=2e-3,
     target_kl=0.03,
     symmetry=kind,
+    # The toy's symmetry is that of odd functions: tanh has it untaught.
+    activation='elu',
   )
   network = _reach(environment, config, 40, mirror)
   seen = torch.from_numpy(environment.reset())
@@ -458,7 +690,7 @@ def test_mirror_images_teach_the_other_side(kind: str) -> None:
     there = mirror.actions(network.act(mirror.observations(seen)))
   assert (here - 0.4).abs().mean() < 0.15
   error = (there - 0.4).abs().mean()
-  assert (error < 0.15) == (kind == 'augment')
+  assert (error < 0.15) == (kind != 'none')
 
 
 @pytest.mark.parametrize('kind', ['none', 'augment'])
@@ -506,20 +738,22 @@ def test_augmented_gradient_is_symmetric(kind: str) -> None:
 
 
 class _Mirrored:
-  """Every mode of pi1, and its mirror image in a world of its own."""
+  """Every mode of pi1, and its mirror image in a world of its own.
+
+  After half a second the next mode is commanded, which the value knows.
+  """
 
   def __init__(self) -> None:
     motions = library.resolve('pi1')
     self.names = [motion.name for motion in motions]
     count = len(motions)
+    first = np.tile(np.arange(count), 2)
+    plan = schedule.from_knots(np.stack([first, (first + 1) % count], 1), 0.5)
     task = multimode_biped.make_task(
-      motions,
-      episodes=episodes.ScheduledEpisodes(
-        schedule.single(np.tile(np.arange(count), 2))
-      ),
+      motions, episodes=episodes.ScheduledEpisodes(plan)
     )
     self.environment = batched.BatchedImitation(
-      task, 2 * count, 0, num_threads=1, auto_reset=False
+      task, 2 * count, 0, num_threads=1, auto_reset=False, privileged=True
     )
     self.ones, self.images = np.arange(2 * count).reshape(2, count)
     self.image = self.environment.mirror_image()
@@ -541,6 +775,9 @@ class _Mirrored:
     environment, ones, images = self.environment, self.ones, self.images
     tracked = environment.core.tracker.state
     tracked.mode[images] = self.image.mirrored_modes
+    commanded = tracked.schedule_modes
+    commanded[images] = self.image.mirrored_modes[commanded[ones]]
+    environment.core.contact[images] = environment.core.contact[ones][:, ::-1]
     shift = np.where(self.image.clock_signs < 0, 0.5, 0.0)
     tracked.phase[images] = (tracked.phase[ones] + shift) % 1.0
     reference = environment.core.tracker.reference().position
@@ -584,7 +821,38 @@ def test_mirror_image_of_real_observations(mirrored: _Mirrored) -> None:
     assert (image[mine, 2:6] == expected).all(), name
     sign = -1.0 if kind in ('walk', 'idle') else 1.0
     assert torch.equal(image[mine, :2], sign * observations[mine, :2]), name
+    following = mirrored.names[(i + 1) % len(mirrored.names)]
+    kind, _, side = following.partition('_')
+    opposite = '_'.join(filter(None, (kind, exchanged.get(side, side))))
+    expected = latents[mirrored.names.index(opposite)]
+    assert (image[mine, 43:47] == expected).all(), following
   assert (image[:, 7] >= 0).all()  # Quaternions keep w >= 0.
+
+
+def test_mirror_image_of_privileged_parts_by_hand(mirrored: _Mirrored) -> None:
+  """Position error, contacts, countdown, and the command after this one."""
+  latents = torch.tensor(mirrored.environment.codebook.latents)
+  left, right = (mirrored.names.index(f'walk_{s}') for s in ('left', 'right'))
+  seen = torch.zeros(1, 47)
+  seen[0, 2:6], seen[0, 43:47] = latents[0], latents[left]
+  seen[0, 37:43] = torch.tensor([0.1, 0.2, 0.3, 1.0, 0.0, 0.6])
+  image = mirrored.mirror.observations(seen)
+  expected = torch.tensor([0.1, -0.2, 0.3, 0.0, 1.0, 0.6])
+  assert torch.equal(image[0, 37:43], expected)
+  assert torch.equal(image[0, 43:47], latents[right])
+  assert torch.equal(image[0, 2:6], latents[0])
+
+
+def test_mirror_image_without_privileged_parts(mirrored: _Mirrored) -> None:
+  environment = mirrored.environment
+  image = mirror_lib.mirror_image(environment.motions, environment.codebook)
+  assert image.commands == (2,)
+  assert mirrored.image.commands == (2, 43)
+  plain = symmetry.Mirror(image, environment.codebook.latents)
+  seen = torch.from_numpy(environment.reset())
+  assert torch.equal(
+    plain.observations(seen[:, :37]), mirrored.mirror.observations(seen)[:, :37]
+  )
 
 
 def test_mirrored_physics_are_the_same(mirrored: _Mirrored) -> None:
@@ -612,6 +880,9 @@ def test_mirrored_physics_are_the_same(mirrored: _Mirrored) -> None:
   # The halves are not alike by being symmetric, each for itself.
   assert np.concatenate(feet).std() > 0
   assert not torch.allclose(seen[mirrored.ones], seen[mirrored.images])
+  # What the value sees besides: errors to both sides, feet of both kinds.
+  assert seen[:, 38].min() < -0.01 and seen[:, 38].max() > 0.01
+  assert (seen[:, 40] != seen[:, 41]).any()
 
 
 def test_set_without_a_mirror_image() -> None:

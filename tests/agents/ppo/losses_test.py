@@ -100,6 +100,40 @@ class AdvantagesTest(parameterized.TestCase):
       np.testing.assert_allclose(found[:, world], expected, atol=1e-12)
 
 
+class NormalisedTest(parameterized.TestCase):
+  def test_by_hand(self) -> None:
+    found = losses.normalised(torch.tensor([1.0, 2.0, 3.0]))
+    torch.testing.assert_close(found, torch.tensor([-1.0, 0.0, 1.0]))
+
+  def test_each_group_by_itself(self) -> None:
+    advantages = torch.tensor([1.0, 40.0, 2.0, 20.0, 3.0, 7.0])
+    kept = advantages.clone()
+    groups = torch.tensor([5, 0, 5, 0, 5, 2])
+    found = losses.normalised(advantages, groups)
+    # Of two, half of their difference over the difference by sqrt 2; of one,
+    # nothing is known.
+    half = 0.5**0.5
+    expected = torch.tensor([-1.0, half, 0.0, -half, 1.0, 0.0])
+    torch.testing.assert_close(found, expected)
+    torch.testing.assert_close(advantages, kept, rtol=0.0, atol=0.0)
+
+  def test_one_group_is_no_group(self) -> None:
+    advantages = torch.randn(20, generator=torch.Generator().manual_seed(0))
+    torch.testing.assert_close(
+      losses.normalised(advantages, torch.full((20,), 3)),
+      losses.normalised(advantages),
+    )
+
+  def test_equal_advantages_stay_finite(self) -> None:
+    for groups in (None, torch.tensor([0, 0, 1, 1])):
+      found = losses.normalised(torch.full((4,), 7.0), groups)
+      torch.testing.assert_close(found, torch.zeros(4))
+
+  def test_every_sample_alone(self) -> None:
+    found = losses.normalised(torch.tensor([3.0, -4.0]), torch.tensor([1, 0]))
+    torch.testing.assert_close(found, torch.zeros(2))
+
+
 class LossesTest(parameterized.TestCase):
   @parameterized.parameters(
     # ratio, advantage, surrogate, whether the policy is still moved by it.

@@ -1,0 +1,117 @@
+"""Tests of dmc_multimode.suite.legs against the compiled robot."""
+
+import functools
+
+from absl.testing import absltest
+from absl.testing import parameterized
+from dm_control import composer
+import mujoco
+import numpy as np
+
+from dmc_multimode.suite import legs
+from dmc_multimode.suite import mini_biped
+
+_HEIGHTS = (legs.LOWEST, 0.43, 0.5, 0.57, 0.62, legs.HIGHEST)
+_CORNERS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1])).reshape(3, -1)
+
+
+@functools.cache
+def _model() -> mujoco.MjModel:
+  """The robot in empty space."""
+  arena = composer.Arena()
+  walker = mini_biped.MiniBiped()
+  walker.create_root_joints(arena.attach(walker))
+  root = arena.mjcf_model
+  return mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
+
+
+def _standing(height: float, climb: float = 0.0) -> mujoco.MjData:
+  """The robot at a height, climbing at some speed, with such legs."""
+  model = _model()
+  data = mujoco.MjData(model)
+  angles, rates = legs.standing(np.array([height]), np.array([climb]))
+  data.qpos[2], data.qpos[7:] = height, angles[0]
+  data.qvel[2], data.qvel[6:] = climb, rates[0]
+  mujoco.mj_forward(model, data)
+  return data
+
+
+def _sole(data: mujoco.MjData, side: str) -> np.ndarray:
+  """Returns the four lower corners of a foot, world metres, [4, 3]."""
+  foot = data.geom(f'walker/{side}_foot')
+  half_sizes = _model().geom(f'walker/{side}_foot').size
+  corners = foot.xmat.reshape(3, 3) @ (_CORNERS * half_sizes[:, None])
+  return foot.xpos + corners.T
+
+
+class StandingTest(parameterized.TestCase):
+  @parameterized.parameters(*_HEIGHTS)
+  def test_soles_are_flat_on_the_ground(self, height: float) -> None:
+    data = _standing(height)
+    for side in mini_biped.SIDES:
+      np.testing.assert_allclose(_sole(data, side)[:, 2], 0.0, atol=1e-3)
+      # Flat, more exactly than the sole's place is rounded in the XML.
+      self.assertLess(np.ptp(_sole(data, side)[:, 2]), 1e-6)
+
+  @parameterized.parameters(*_HEIGHTS)
+  def test_soles_stay_under_the_hips(self, height: float) -> None:
+    crouch, data = _standing(legs.CROUCH_HEIGHT), _standing(height)
+    for side in mini_biped.SIDES:
+      np.testing.assert_allclose(
+        _sole(data, side)[:, :2], _sole(crouch, side)[:, :2], atol=1e-6
+      )
+
+  @parameterized.product(height=_HEIGHTS, climb=(-0.8, 0.7))
+  def test_feet_rest_while_the_trunk_moves(
+    self, height: float, climb: float
+  ) -> None:
+    data, velocity = _standing(height, climb), np.zeros(6)
+    for side in mini_biped.SIDES:
+      foot = _model().geom(f'walker/{side}_foot').id
+      mujoco.mj_objectVelocity(
+        _model(), data, mujoco.mjtObj.mjOBJ_GEOM, foot, velocity, 0
+      )
+      # Metres and radians a second; the XML rounds the crouch to 1e-6.
+      np.testing.assert_allclose(velocity, np.zeros(6), atol=1e-5)
+
+  def test_crouch_is_zero(self) -> None:
+    angles, rates = legs.standing(np.array([legs.CROUCH_HEIGHT]), np.zeros(1))
+    np.testing.assert_allclose(angles, np.zeros((1, 10)), atol=1e-12)
+    np.testing.assert_array_equal(rates, np.zeros((1, 10)))
+
+  def test_legs_are_alike_and_joints_within_their_ranges(self) -> None:
+    heights = np.linspace(legs.LOWEST, legs.HIGHEST, 20)
+    angles, rates = legs.standing(heights, np.ones(20))
+    for values in (angles, rates):
+      np.testing.assert_array_equal(values[:, :5], values[:, 5:])
+      np.testing.assert_array_equal(values[:, :2], np.zeros((20, 2)))
+    model = _model()
+    for i, name in enumerate(mini_biped.JOINTS):
+      joint = model.joint(f'walker/{name}')
+      self.assertTrue(joint.limited[0], name)
+      self.assertGreaterEqual(angles[:, i].min(), joint.range[0], name)
+      self.assertLessEqual(angles[:, i].max(), joint.range[1], name)
+
+  @parameterized.parameters((0.0, legs.LOWEST), (2.0, legs.HIGHEST))
+  def test_height_is_cut_to_what_legs_can_do(
+    self, height: float, bound: float
+  ) -> None:
+    climb = np.array([0.5])
+    found = legs.standing(np.array([height]), climb)
+    expected = legs.standing(np.array([bound]), climb)
+    np.testing.assert_array_equal(found, expected)
+    self.assertTrue(np.isfinite(found).all())
+
+  def test_every_row_by_itself(self) -> None:
+    heights, climbs = np.array([0.3, 0.45, 0.9]), np.array([0.0, -1.0, 1.0])
+    kept = heights.copy()
+    together = legs.standing(heights, climbs)
+    for i in range(3):
+      alone = legs.standing(heights[i : i + 1], climbs[i : i + 1])
+      for one, other in zip(together, alone, strict=True):
+        np.testing.assert_array_equal(one[i], other[0])
+    np.testing.assert_array_equal(heights, kept)
+
+
+if __name__ == '__main__':
+  absltest.main()
