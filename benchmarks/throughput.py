@@ -5,7 +5,7 @@
 Everything is measured in turns, round after round, and compared with the raw
 physics of the same round: noise of the machine hits all alike. Raw physics
 steps the very states and controls that BatchedImitation steps right after it.
-All act at random around standing; PPO learns with flags/quickstart.flags.
+All act at random around standing; PPO learns with its defaults.
 """
 
 import contextlib
@@ -17,7 +17,6 @@ import os
 import pathlib
 import platform
 import pstats
-import sys
 import time
 from typing import Any, Callable, Mapping, Protocol, Sequence
 
@@ -30,7 +29,6 @@ import tqdm
 
 import dmc_multimode
 from dmc_multimode import atomic
-from dmc_multimode import resources
 from dmc_multimode.agents import loggers
 from dmc_multimode.agents import training
 from dmc_multimode.bin import app
@@ -63,7 +61,6 @@ for _part in _PARTS:
 
 _ACTION_STD = 0.2  # Radians around the standing action.
 _BURN_IN = 50  # Control steps until episodes end at all times.
-_FLAGFILE = 'quickstart.flags'
 _LEAST_SHARE = 0.1  # Percent of a step that the profile shows.
 
 _RAW, _BATCHED = 'raw Batch.step', 'BatchedImitation'
@@ -382,11 +379,8 @@ def main(argv: Sequence[str]) -> None:
 
 
 def cli() -> None:
-  """Runs with the quick start's hyperparameters unless flags say otherwise."""
-  lines = resources.path('flags', _FLAGFILE).read_text('utf-8').splitlines()
-  prefixes = tuple(f'--{part}_' for part in _PARTS)
-  preset = [line for line in lines if line.startswith(prefixes)]
-  app.run(main, [sys.argv[0], *preset, *sys.argv[1:]])
+  """Console script."""
+  app.run(main)
 
 
 if __name__ == '__main__':

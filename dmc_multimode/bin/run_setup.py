@@ -32,6 +32,8 @@ _FLAT_SEGMENTS = 2  # The ground and the step of at most one command.
 class RunConfig:
   """Everything that decides a run's result.
 
+  What docs/LEARNING.md found best is the default.
+
   Attributes:
     modes: a set's name or mode names, comma-separated.
     seed: of all randomness.
@@ -48,9 +50,11 @@ class RunConfig:
   num_worlds: int = 512
   threads: int = 2
   one_hot: bool = False
-  ppo: ppo_config.PPOConfig = ppo_config.PPOConfig()
+  ppo: ppo_config.PPOConfig = ppo_config.PPOConfig(symmetry='alternate')
   sampling: sampling_lib.SamplingConfig = sampling_lib.SamplingConfig()
-  task: task_config.ImitationConfig = task_config.ImitationConfig()
+  task: task_config.ImitationConfig = task_config.ImitationConfig(
+    tighten_steps=7_000_000
+  )
 
   def __post_init__(self) -> None:
     for name in ('num_worlds', 'threads'):
@@ -195,9 +199,7 @@ def build(
   loop = training.TrainingLoop(
     environment,
     builder.make_actor(network),
-    builder.make_learner(
-      network, mirror, symmetry.Commands(codebook.latents)
-    ),
+    builder.make_learner(network, mirror, symmetry.Commands(codebook.latents)),
     config.ppo.rollout_length,
     codebook.names,
     environment.episodes.probabilities,

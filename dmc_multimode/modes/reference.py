@@ -279,9 +279,7 @@ class ReferenceBank:
     moved = moved - self._position(modes, *self._locate(modes, before))
     return moved / ((after - before) * self.durations[modes])[:, None]
 
-  def start_velocity(
-    self, modes: np.ndarray, phases: np.ndarray
-  ) -> np.ndarray:
+  def start_velocity(self, modes: np.ndarray, phases: np.ndarray) -> np.ndarray:
     """Base velocities with which a body can follow the reference from here.
 
     Keyframes are joined by straight lines, along which nothing falls: a body

@@ -18,6 +18,8 @@ class ImitationConfig:
     time_limit: length of an episode, seconds.
     control_timestep: period of the policy, seconds.
     physics_timestep: period of the physics, seconds; divides the former.
+    servo_inertia: whether the joints have the inertia that makes long physics
+      steps behave as short ones do; see `MiniBiped.add_servo_inertia`.
     early_distance: bound on the distance from the reference at the start of a
       training, metres; it falls to `limits.distance` over `tighten_steps`.
     tighten_steps: control steps of all worlds together; 0 for no schedule.
@@ -33,12 +35,13 @@ class ImitationConfig:
 
   gains: rewards.RewardGains = rewards.RewardGains()
   limits: terminations.TerminationLimits = terminations.TerminationLimits()
-  early_distance: float = 0.8
+  early_distance: float = 0.5
   tighten_steps: int = 0
   time_limit: float = 4.5
   control_timestep: float = 0.03
   physics_timestep: float = 0.005
-  reference_starts: float = 0.25
+  servo_inertia: bool = True
+  reference_starts: float = 0.5
   edge_noise: float = 0.04
   joint_noise: float = 0.05
   velocity_noise: float = 0.1
@@ -109,12 +112,15 @@ def to_dict(config: ImitationConfig) -> dict[str, Any]:
 def from_dict(values: Mapping[str, Any]) -> ImitationConfig:
   """Returns what `to_dict` was given.
 
+  What was written before there was a `servo_inertia` knew none.
+
   Raises:
     ValueError: a field is unknown or of the wrong type.
   """
   try:
     return ImitationConfig(
       **{
+        'servo_inertia': False,
         **values,
         'gains': rewards.RewardGains(**values['gains']),
         'limits': terminations.TerminationLimits(**values['limits']),

@@ -75,6 +75,8 @@ class Imitation(composer.Task):
     self.set_timesteps(
       self.config.control_timestep, self.config.physics_timestep
     )
+    if self.config.servo_inertia:
+      self._walker.add_servo_inertia(self.config.physics_timestep)
 
   def make_core(
     self, num_worlds: int, max_knots: int

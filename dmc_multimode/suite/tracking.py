@@ -226,7 +226,9 @@ class ModeTracker:
     following = np.minimum(knot + 1, steps.shape[1] - 1)
     due = steps[rows, following]
     exists = (following > knot) & (due < _NEVER)
-    countdown = np.where(exists, (due - state.step[ids]) * self._timestep, np.inf)
+    countdown = np.where(
+      exists, (due - state.step[ids]) * self._timestep, np.inf
+    )
     modes = state.schedule_modes[ids][rows, following]
     modes = np.where(exists, modes, state.mode[ids])
     return countdown, self._latents[modes]

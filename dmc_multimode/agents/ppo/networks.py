@@ -26,7 +26,7 @@ class Normaliser(nn.Module):
     self.register_buffer('count', torch.zeros((), dtype=torch.float64))
 
   def forward(self, observation: torch.Tensor) -> torch.Tensor:
-    """Normalises observations [..., D], or the first so many numbers of them."""
+    """Normalises observations [..., D], or the first numbers of them."""
     size = observation.shape[-1]
     scale = torch.rsqrt(self.variance[:size] + _VARIANCE_FLOOR)
     return ((observation - self.mean[:size]) * scale).clamp_(-_CLIP, _CLIP)
@@ -46,7 +46,7 @@ class Normaliser(nn.Module):
 
 
 def mlp(sizes: tuple[int, ...], activation: str = 'elu') -> nn.Sequential:
-  """A multi-layer perceptron, with an activation of `ACTIVATIONS` in between."""
+  """A multi-layer perceptron with an activation of `ACTIVATIONS`."""
   layers: list[nn.Module] = []
   for i, (fan_in, fan_out) in enumerate(zip(sizes, sizes[1:], strict=False)):
     if i:

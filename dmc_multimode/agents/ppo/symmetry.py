@@ -48,8 +48,7 @@ class Commands:
   """Tells which mode an observation commands, by its latent."""
 
   def __init__(self, latents: np.ndarray, start: int = 2):
-    """Knows the modes' `latents`, [M, n_m], which observations have at `start`.
-    """
+    """Knows the modes' `latents`, [M, n_m], at `start` of observations."""
     self._latents = torch.tensor(latents)
     self.part = slice(start, start + latents.shape[1])
 
@@ -68,7 +67,9 @@ class Mirror:
     self._signs = torch.from_numpy(image.observation_signs)
     self._action_order = torch.from_numpy(image.action_order)
     self._action_signs = torch.from_numpy(image.action_signs)
-    self._mirrored = torch.tensor(latents)[torch.from_numpy(image.mirrored_modes)]
+    self._mirrored = torch.tensor(latents)[
+      torch.from_numpy(image.mirrored_modes)
+    ]
     self._clock_signs = torch.from_numpy(image.clock_signs)
     self._commands = [Commands(latents, start) for start in image.commands]
 

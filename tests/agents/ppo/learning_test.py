@@ -113,7 +113,9 @@ def _reach(
 
 
 def test_a_step_raises_the_surrogate_of_its_own_data() -> None:
-  learner = _learner(epochs=8, entropy_coefficient=0.0, target_kl=0.0)
+  learner = _learner(
+    epochs=8, minibatches=4, entropy_coefficient=0.0, target_kl=0.0
+  )
   rollouts = _rollouts(learner.network)
   learner.step(rollouts)
   # Every sample once more: the policy has moved towards what paid.

@@ -1,0 +1,165 @@
+"""rsl_rl's PPO on BatchedImitation; needs the extra `bench`."""
+
+# Optional, and without type information of its own.
+# mypy: disable-error-code="import-not-found,import-untyped"
+
+import contextlib
+import io
+from typing import Any
+
+import numpy as np
+import torch
+
+from benchmarks import learners
+from dmc_multimode.agents.ppo import config as ppo_config
+from dmc_multimode.agents.ppo import networks
+from dmc_multimode.suite import batched
+
+try:
+  from rsl_rl import algorithms
+  from rsl_rl import env as rsl_rl_env
+  from rsl_rl import models
+  from rsl_rl import modules
+  from rsl_rl import runners
+  import tensordict
+except ModuleNotFoundError as error:
+  raise learners.missing(error) from None
+
+_SEEN, _PRIVILEGED = 'policy', 'privileged'  # Groups of observations.
+_DEVICE = 'cpu'
+_MAX_STD = 1e6  # Radians; none.
+
+
+class VecEnv(rsl_rl_env.VecEnv):
+  """The worlds of a batch behind rsl_rl's interface."""
+
+  def __init__(
+    self, environment: batched.BatchedImitation, reward_scale: float
+  ):
+    """Takes over an environment and resets it.
+
+    Args:
+      environment: B worlds that reset by themselves. Its observations may end
+        with privileged information, which then is a group of its own.
+      reward_scale: rewards are multiplied by it.
+    """
+    self._environment, self._scale = environment, reward_scale
+    size = environment.observation_spec().shape[0]
+    self._size = size - environment.privileged_size
+    self.num_envs = environment.num_worlds
+    self.num_actions = environment.action_spec().shape[0]
+    self.max_episode_length = environment.config.horizon
+    self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.int64)
+    self.device = _DEVICE
+    self.cfg: dict[str, Any] = {}
+    self._observation = environment.reset()
+
+  def get_observations(self) -> tensordict.TensorDict:
+    """Returns float32 [B, D], and what is privileged as [B, P]."""
+    seen = torch.from_numpy(self._observation)
+    groups = {_SEEN: seen[:, : self._size]}
+    if self._size < seen.shape[1]:
+      groups[_PRIVILEGED] = seen[:, self._size :]
+    return tensordict.TensorDict(groups, batch_size=[self.num_envs])
+
+  def step(
+    self, actions: torch.Tensor
+  ) -> tuple[tensordict.TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
+    """Applies actions [B, A]; see `rsl_rl.env.VecEnv.step`."""
+    step = self._environment.step(actions.numpy())
+    self._observation = step.observation
+    rewards = (self._scale * step.reward).astype(np.float32)
+    done = torch.from_numpy(step.last)
+    self.episode_length_buf += 1
+    self.episode_length_buf[done] = 0
+    time_outs = torch.from_numpy(step.last & (step.discount > 0))
+    return (
+      self.get_observations(),
+      torch.from_numpy(rewards),
+      done.long(),
+      {'time_outs': time_outs},
+    )
+
+
+def settings(ppo: ppo_config.PPOConfig, groups: list[str]) -> dict[str, Any]:
+  """Returns the runner's configuration.
+
+  Args:
+    ppo: our hyperparameters.
+    groups: of observations, the policy's first; the critic sees all.
+  """
+  network = {
+    'class_name': models.MLPModel,
+    'hidden_dims': list(ppo.hidden_sizes),
+    'activation': ppo.activation,
+    'obs_normalization': True,
+  }
+  distribution = {
+    'class_name': modules.GaussianDistribution,
+    'init_std': ppo.initial_std,
+    'std_range': (ppo.min_std, _MAX_STD),
+    'std_type': 'log',
+    'learn_std': ppo.learn_std,
+  }
+  algorithm = {
+    'class_name': algorithms.PPO,
+    'num_learning_epochs': ppo.epochs,
+    'num_mini_batches': ppo.minibatches,
+    'clip_param': ppo.clip,
+    'gamma': ppo.discount,
+    'lam': ppo.gae_lambda,
+    'value_loss_coef': ppo.value_coefficient,
+    'entropy_coef': ppo.entropy_coefficient,
+    'learning_rate': ppo.learning_rate,
+    'max_grad_norm': ppo.max_gradient_norm,
+    'schedule': 'adaptive' if ppo.target_kl else 'fixed',
+    'desired_kl': ppo.target_kl or None,
+  }
+  return {
+    'num_steps_per_env': ppo.rollout_length,
+    'obs_groups': {'actor': groups[:1], 'critic': groups},
+    'algorithm': algorithm,
+    'actor': {**network, 'distribution_cfg': distribution},
+    'critic': network,
+  }
+
+
+class Learner:
+  """See `learners.Learner`."""
+
+  update: learners.Methods = (
+    (algorithms.PPO, 'compute_returns'),
+    (algorithms.PPO, 'update'),
+  )
+
+  def __init__(
+    self,
+    environment: batched.BatchedImitation,
+    network: networks.ActorCritic,
+    ppo: ppo_config.PPOConfig,
+    seed: int,
+    reward_scale: float,
+  ):
+    """Learns in `environment`, from the weights of `network` on."""
+    self.environment = environment
+    worlds = VecEnv(environment, reward_scale)
+    groups = [str(name) for name in worlds.get_observations().keys()]
+    torch.manual_seed(seed)  # Of the exploration and the minibatches.
+    with contextlib.redirect_stdout(io.StringIO()):  # It prints its networks.
+      self.runner = runners.OnPolicyRunner(
+        worlds, settings(ppo, groups), device=_DEVICE
+      )
+    learners.copy_linears(network.policy, self.runner.alg.actor)
+    learners.copy_linears(network.value, self.runner.alg.critic)
+
+  def iterate(self) -> None:
+    """See `learners.Learner`."""
+    self.runner.learn(1)
+
+  @torch.no_grad()
+  def select_action(self, observations: np.ndarray) -> np.ndarray:
+    """See `learners.Learner`."""
+    seen = tensordict.TensorDict(
+      {_SEEN: torch.from_numpy(observations)}, batch_size=[len(observations)]
+    )
+    return self.runner.get_inference_policy()(seen).numpy()

@@ -1,0 +1,82 @@
+"""Tests of dmc_multimode.bin.run_setup: how the parts fit together."""
+
+import dataclasses
+import pathlib
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from dmc_multimode import pretrained
+from dmc_multimode.agents.ppo import config as ppo_config
+from dmc_multimode.bin import run_setup
+from dmc_multimode.modes import codebook
+from dmc_multimode.modes import library
+
+_MODES = 'idle,walk_forward'
+_POLICY_SEES = 2 + 2 + 31  # With one-hot commands.
+_VALUE_SEES = _POLICY_SEES + 6 + 2
+_TINY = ppo_config.PPOConfig(
+  hidden_sizes=(8,), rollout_length=4, epochs=2, minibatches=2
+)
+
+
+def _build(**changes: Any) -> run_setup.Run:
+  motions = library.resolve(_MODES)
+  threads = torch.get_num_threads()
+  try:
+    return run_setup.build(
+      run_setup.RunConfig(
+        modes=_MODES,
+        num_worlds=4,
+        threads=1,
+        one_hot=True,
+        ppo=dataclasses.replace(_TINY, **changes),
+      ),
+      motions,
+      codebook.one_hot(motions),
+    )
+  finally:
+    torch.set_num_threads(threads)
+
+
+@pytest.mark.parametrize('privileged', [False, True])
+def test_critic_is_privileged_or_not(
+  privileged: bool, tmp_path: pathlib.Path
+) -> None:
+  run = _build(privileged_critic=privileged)
+  seen = _VALUE_SEES if privileged else _POLICY_SEES
+  assert run.environment.observation_spec().shape == (seen,)
+  assert run.network.observation_size == _POLICY_SEES
+  assert run.network.privileged_size == seen - _POLICY_SEES
+  # Whoever loads the policy shows it what the policy sees, and no more.
+  run.policy().save(tmp_path)
+  observation = run.environment.reset()
+  np.testing.assert_array_equal(
+    pretrained.load(tmp_path).select_action(observation[:, :_POLICY_SEES]),
+    run.policy().select_action(observation),
+  )
+
+
+@pytest.mark.parametrize('symmetry', ppo_config.SYMMETRIES)
+@pytest.mark.parametrize('advantages', ppo_config.ADVANTAGES)
+def test_every_kind_of_learner_learns(symmetry: str, advantages: str) -> None:
+  run = _build(symmetry=symmetry, advantages=advantages)
+  before = run.network.policy[0].weight.detach().clone()
+  run.loop._collect()
+  metrics = run.loop._learner.step(run.loop._buffers)
+  assert all(np.isfinite(value) for value in metrics.values())
+  assert not torch.equal(run.network.policy[0].weight, before)
+
+
+def test_configuration_round_trip() -> None:
+  config = run_setup.RunConfig(
+    ppo=ppo_config.PPOConfig(
+      symmetry='alternate',
+      advantages='mode',
+      privileged_critic=False,
+      activation='elu',
+    )
+  )
+  assert run_setup.from_dict(run_setup.to_dict(config)) == config
