@@ -27,6 +27,7 @@ from dmc_multimode.suite import rewards
 from dmc_multimode.suite import terminations
 from dmc_multimode.suite import tracking
 
+_SLOWEST_START = 0.5  # Share of the reference's velocity.
 _FOOT_REACH = 0.12  # Metres ahead and behind the trunk that feet may cover.
 
 
@@ -120,7 +121,10 @@ class ImitationCore:
     """Poses the robots of `ids` on their references, with noise."""
     config, count = self.config, len(ids)
     position, orientation, velocity = self.tracker.start_pose(ids)
-    velocity *= on_reference[:, None]
+    # Slower than the reference as well: a flight that falls short teaches what
+    # a perfect one, which only a perfect take-off leads to, cannot.
+    pace = random_state.uniform(_SLOWEST_START, 1.0, size=count)
+    velocity *= (pace * on_reference)[:, None]
     x = position[:, 0]
     clear = terrain_lib.clearance_height(self.terrain.rows(ids), x, _FOOT_REACH)
     airborne = self.tracker.airborne(ids)
