@@ -10,6 +10,7 @@ import torch
 
 from dmc_multimode import pretrained
 from dmc_multimode.agents.ppo import config as ppo_config
+from dmc_multimode.agents.ppo import networks
 from dmc_multimode.bin import run_setup
 from dmc_multimode.modes import codebook
 from dmc_multimode.modes import library
@@ -63,11 +64,12 @@ def test_critic_is_privileged_or_not(
 @pytest.mark.parametrize('advantages', ppo_config.ADVANTAGES)
 def test_every_kind_of_learner_learns(symmetry: str, advantages: str) -> None:
   run = _build(symmetry=symmetry, advantages=advantages)
-  before = run.network.policy[0].weight.detach().clone()
+  weight = networks.linears_of(run.network.policy)[0].weight
+  before = weight.detach().clone()
   run.loop._collect()
   metrics = run.loop._learner.step(run.loop._buffers)
   assert all(np.isfinite(value) for value in metrics.values())
-  assert not torch.equal(run.network.policy[0].weight, before)
+  assert not torch.equal(weight, before)
 
 
 def test_configuration_round_trip() -> None:
