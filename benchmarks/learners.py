@@ -10,6 +10,8 @@ or the reverse, stays:
   151).
 - Stable-Baselines3 has no schedule for the learning rate, normalises advantages
   by minibatch, and has no floor for the standard deviation.
+- Ours fits policy and value function apart, each with its own bound on the
+  gradient's norm.
 - Ours alone lowers the floor of the standard deviation (`anneal_start`).
 """
 
@@ -32,6 +34,8 @@ from dmc_multimode.suite import batched
 from dmc_multimode.suite import multimode_biped
 
 OURS = 'ours'
+# Of the libraries, which add the two losses up; ours are fitted apart.
+VALUE_COEFFICIENT = 0.5
 # Name -> module with a class `Learner`.
 _LIBRARIES = {
   'rsl_rl': 'benchmarks.rsl_rl_learner',

@@ -108,7 +108,7 @@ def settings(ppo: ppo_config.PPOConfig, groups: list[str]) -> dict[str, Any]:
     'clip_param': ppo.clip,
     'gamma': ppo.discount,
     'lam': ppo.gae_lambda,
-    'value_loss_coef': ppo.value_coefficient,
+    'value_loss_coef': learners.VALUE_COEFFICIENT,
     'entropy_coef': ppo.entropy_coefficient,
     'learning_rate': ppo.learning_rate,
     'max_grad_norm': ppo.max_gradient_norm,

@@ -119,7 +119,7 @@ def settings(ppo: ppo_config.PPOConfig, num_worlds: int) -> dict[str, Any]:
     'gae_lambda': ppo.gae_lambda,
     'clip_range': ppo.clip,
     'ent_coef': ppo.entropy_coefficient,
-    'vf_coef': ppo.value_coefficient,
+    'vf_coef': learners.VALUE_COEFFICIENT,
     'max_grad_norm': ppo.max_gradient_norm,
     'policy_kwargs': {
       'net_arch': list(ppo.hidden_sizes),

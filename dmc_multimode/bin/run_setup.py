@@ -170,7 +170,8 @@ def build(
   codebook: codebook_lib.Codebook,
 ) -> Run:
   """Connects environment, agent and loop; nothing is trained yet."""
-  torch.set_num_threads(config.threads)
+  # The learner fits two networks at once, each with its share of the threads.
+  torch.set_num_threads(max(config.threads // 2, 1))
   bank = reference.ReferenceBank(motions)
   task = multimode_biped.make_task(
     motions,
@@ -199,7 +200,12 @@ def build(
   loop = training.TrainingLoop(
     environment,
     builder.make_actor(network),
-    builder.make_learner(network, mirror, symmetry.Commands(codebook.latents)),
+    builder.make_learner(
+      network,
+      mirror,
+      symmetry.Commands(codebook.latents),
+      parallel=config.threads > 1,
+    ),
     config.ppo.rollout_length,
     codebook.names,
     environment.episodes.probabilities,

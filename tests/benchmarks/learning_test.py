@@ -274,7 +274,7 @@ def test_all_have_networks_and_hyperparameters_alike() -> None:
     (_PPO.minibatches, theirs.num_mini_batches, 8 // model.batch_size),
     (_PPO.rollout_length, length, model.n_steps),
     (_PPO.entropy_coefficient, theirs.entropy_coef, model.ent_coef),
-    (_PPO.value_coefficient, theirs.value_loss_coef, model.vf_coef),
+    (learners.VALUE_COEFFICIENT, theirs.value_loss_coef, model.vf_coef),
     (_PPO.max_gradient_norm, theirs.max_grad_norm, model.max_grad_norm),
     (_PPO.learning_rate, theirs.learning_rate, model.learning_rate),
   ):

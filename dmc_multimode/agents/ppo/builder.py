@@ -51,10 +51,11 @@ class PPOBuilder:
     network: networks.ActorCritic,
     mirror: symmetry.Mirror | None = None,
     commands: symmetry.Commands | None = None,
+    parallel: bool = False,
   ) -> learning.PPOLearner:
-    """Returns a learner that updates `network` in place."""
+    """Returns a learner that updates `network` in place; see `PPOLearner`."""
     return learning.PPOLearner(
-      network, self._config, self._seed + 1, mirror, commands
+      network, self._config, self._seed + 1, mirror, commands, parallel
     )
 
   def make_actor(self, network: networks.ActorCritic) -> acting.BatchedActor:

@@ -21,13 +21,13 @@ class PPOConfig:
     epochs: passes over each iteration's data.
     minibatches: parts that each pass is cut into.
     clip: epsilon of the clipped surrogate objective.
-    value_coefficient: weight of the value loss.
     entropy_coefficient: weight of the entropy bonus.
     learning_rate: at the start.
     target_kl: the learning rate falls when an update moves the policy by more
       than twice this and rises when by less than half; 0 keeps it fixed.
     min_learning_rate, max_learning_rate: bounds of the adaptation.
-    max_gradient_norm: gradients are scaled down to it.
+    max_gradient_norm: the gradients of the policy, and those of the value
+      function, are scaled down to it.
     initial_std: of the actions, radians.
     min_std: the standard deviation does not fall below; without a floor the
       exploration collapses early.
@@ -53,7 +53,6 @@ class PPOConfig:
   epochs: int = 4
   minibatches: int = 8
   clip: float = 0.2
-  value_coefficient: float = 0.5
   entropy_coefficient: float = 0.002
   learning_rate: float = 5e-4
   target_kl: float = 0.03
@@ -88,7 +87,7 @@ class PPOConfig:
       value = getattr(self, name)
       if not (math.isfinite(value) and value > 0):
         raise ValueError(f'{name} must be positive, got {value}.')
-    for name in ('value_coefficient', 'entropy_coefficient', 'target_kl'):
+    for name in ('entropy_coefficient', 'target_kl'):
       value = getattr(self, name)
       if not (math.isfinite(value) and value >= 0):
         raise ValueError(f'{name} must not be negative, got {value}.')

@@ -1,8 +1,10 @@
 """The PPO learner: one step is one iteration over one batch of rollouts."""
 
+from concurrent import futures
 import functools
+import itertools
 import math
-from typing import Any, Iterator, Mapping, NamedTuple
+from typing import Any, Iterator, Mapping, NamedTuple, Sequence
 
 import torch
 from torch import nn
@@ -14,6 +16,8 @@ from dmc_multimode.agents.ppo import symmetry
 
 _LEARNING_RATE_STEP = 1.2  # Factor of each adaptation.
 _KL_STRIDE = 8  # Every so many samples enter the estimate of the KL.
+
+Metrics = dict[str, torch.Tensor]
 
 
 class Rollouts(NamedTuple):
@@ -50,12 +54,14 @@ class _Samples(NamedTuple):
   advantages: torch.Tensor
   targets: torch.Tensor
 
-  def rows(self, ids: torch.Tensor | slice) -> '_Samples':
-    return _Samples(*(field[ids] for field in self))
-
 
 class PPOLearner:
-  """Updates an `ActorCritic` in place."""
+  """Updates an `ActorCritic` in place.
+
+  Policy and value function share nothing, so that each is fitted by itself, and
+  two threads can fit both at once: operations as small as these gain more from
+  that than from being cut in two each. The result is the same.
+  """
 
   def __init__(
     self,
@@ -64,8 +70,9 @@ class PPOLearner:
     seed: int,
     mirror: symmetry.Mirror | None = None,
     commands: symmetry.Commands | None = None,
+    parallel: bool = False,
   ):
-    """Creates the optimiser.
+    """Creates the optimisers.
 
     Args:
       network: what is learned.
@@ -73,6 +80,7 @@ class PPOLearner:
       seed: of the minibatches.
       mirror: needed where `config.symmetry` is not 'none'.
       commands: needed where `config.advantages` is 'mode'.
+      parallel: whether to fit policy and value function at the same time.
 
     Raises:
       ValueError: symmetry is asked for without a mirror.
@@ -87,10 +95,14 @@ class PPOLearner:
     self._commands = commands
     self._generator = torch.Generator().manual_seed(seed)
     network.log_std.requires_grad_(config.learn_std)
-    self._parameters = [p for p in network.parameters() if p.requires_grad]
-    self._optimiser = torch.optim.Adam(
-      self._parameters, lr=config.learning_rate, eps=1e-5, fused=True
-    )
+    value = list(network.value.parameters())
+    theirs = {id(parameter) for parameter in value}
+    policy = [
+      p for p in network.parameters() if p.requires_grad and id(p) not in theirs
+    ]
+    self._policy = _Part(policy, config)
+    self._value = _Part(value, config)
+    self._worker = futures.ThreadPoolExecutor(1, 'value') if parallel else None
     self.learning_rate = config.learning_rate
 
   def step(self, rollouts: Rollouts) -> dict[str, float]:
@@ -109,8 +121,14 @@ class PPOLearner:
     samples = self._prepare(rollouts)
     old_std = self.network.std.detach().clone()
     before = self.state()
+    orders = self._orders(len(samples.advantages))
+    batches = list(
+      itertools.chain.from_iterable(
+        order.chunk(self._config.minibatches) for order in orders
+      )
+    )
     try:
-      metrics = self._epochs(samples)
+      metrics = self._fit(samples, batches)
     except FloatingPointError:
       self.restore(before)
       raise
@@ -127,13 +145,22 @@ class PPOLearner:
     mean['std'] = float(self.network.std.detach().mean())
     return mean
 
-  def _epochs(self, samples: _Samples) -> list[dict[str, torch.Tensor]]:
-    """Passes over the samples; returns the metrics of every minibatch."""
-    metrics = []
-    for order in self._orders(len(samples.advantages)):
-      for ids in order.chunk(self._config.minibatches):
-        metrics.append(self._update(samples.rows(ids)))
-    return metrics
+  def _fit(
+    self, samples: _Samples, batches: Sequence[torch.Tensor]
+  ) -> list[Metrics]:
+    """Learns from minibatches in turn; returns the metrics of each."""
+    policy = lambda: [self._fit_policy(samples, ids) for ids in batches]
+    value = lambda: [self._fit_value(samples, ids) for ids in batches]
+    if self._worker is None:
+      both = policy(), value()
+    else:
+      future = self._worker.submit(value)
+      try:
+        mine = policy()
+      finally:
+        futures.wait([future])
+      both = mine, future.result()
+    return [one | other for one, other in zip(*both, strict=True)]
 
   def _orders(self, count: int) -> Iterator[torch.Tensor]:
     """Yields, for every pass, which of `count` samples it takes, in order."""
@@ -212,50 +239,41 @@ class PPOLearner:
       *(torch.cat(pair) for pair in zip(samples, image, strict=True))
     )
 
-  def _update(self, batch: _Samples) -> dict[str, torch.Tensor]:
+  def _fit_policy(self, samples: _Samples, ids: torch.Tensor) -> Metrics:
     config, network = self._config, self.network
-    mean = network.mean(batch.observations)
+    mean = network.mean(samples.observations[ids])
     std = network.std
-    terms = losses.ppo_losses(
-      networks.log_prob(batch.actions, mean, std),
-      batch.log_probs,
-      batch.advantages,
-      network.values(batch.observations),
-      batch.targets,
-      std,
+    surrogate, outside = losses.surrogate_loss(
+      networks.log_prob(samples.actions[ids], mean, std),
+      samples.log_probs[ids],
+      samples.advantages[ids],
       config.clip,
     )
-    loss = (
-      terms.policy
-      + config.value_coefficient * terms.value
-      - config.entropy_coefficient * terms.entropy
+    entropy = networks.entropy(std)
+    norm = self._policy.descend(
+      surrogate - config.entropy_coefficient * entropy
     )
-    self._optimiser.zero_grad(set_to_none=True)
-    loss.backward()
-    norm = nn.utils.clip_grad_norm_(self._parameters, config.max_gradient_norm)
-    if not math.isfinite(norm):
-      raise FloatingPointError(
-        'A gradient is not finite; the last checkpoint is unharmed: resume '
-        'from it, with a lower learning rate if it recurs.'
-      )
-    self._optimiser.step()
     return {
-      'loss/policy': terms.policy.detach(),
-      'loss/value': terms.value.detach(),
-      'loss/entropy': terms.entropy.detach(),
-      'clip_fraction': terms.clip_fraction,
-      'gradient_norm': norm,
+      'loss/policy': surrogate.detach(),
+      'loss/entropy': entropy.detach(),
+      'clip_fraction': outside,
+      'gradient_norm/policy': norm,
     }
+
+  def _fit_value(self, samples: _Samples, ids: torch.Tensor) -> Metrics:
+    values = self.network.values(samples.observations[ids])
+    loss = torch.mean((values - samples.targets[ids]) ** 2)
+    norm = self._value.descend(loss)
+    return {'loss/value': loss.detach(), 'gradient_norm/value': norm}
 
   @torch.no_grad()
   def _divergence(self, samples: _Samples, old_std: torch.Tensor) -> float:
     """How far this step moved the policy: mean KL(old || new)."""
-    probe = samples.rows(slice(None, None, _KL_STRIDE))
     return float(
       networks.kl_divergence(
-        probe.means,
+        samples.means[::_KL_STRIDE],
         old_std,
-        self.network.mean(probe.observations),
+        self.network.mean(samples.observations[::_KL_STRIDE]),
         self.network.std,
       ).mean()
     )
@@ -279,9 +297,8 @@ class PPOLearner:
   def state(self) -> dict[str, Any]:
     """Returns tensors by name: weights, normaliser, optimiser, generator."""
     state = {f'network/{k}': v for k, v in self.network.state_dict().items()}
-    for i, p in enumerate(self._parameters):
-      for key, value in self._optimiser.state.get(p, {}).items():
-        state[f'optimiser/{i}/{key}'] = value
+    for name, part in self._parts():
+      state |= {f'optimiser/{name}/{k}': v for k, v in part.state().items()}
     state['generator'] = self._generator.get_state()
     state['learning_rate'] = torch.tensor(
       self.learning_rate, dtype=torch.float64
@@ -301,20 +318,68 @@ class PPOLearner:
       raise ValueError(
         f'The checkpoint is of another network: {error}'.replace('\n', ' ')
       ) from error
-    self._optimiser.state.clear()
-    for i, p in enumerate(self._parameters):
-      moments = {
-        key.rpartition('/')[2]: value.clone()
-        for key, value in state.items()
-        if key.startswith(f'optimiser/{i}/')
-      }
-      if moments:
-        self._optimiser.state[p] = moments
+    for name, part in self._parts():
+      prefix = f'optimiser/{name}/'
+      part.restore(
+        {
+          key.removeprefix(prefix): value
+          for key, value in state.items()
+          if key.startswith(prefix)
+        }
+      )
     self._lower_std_floor()
     self._generator.set_state(state['generator'])
     self._set_learning_rate(float(state['learning_rate']))
 
+  def _parts(self) -> tuple[tuple[str, '_Part'], ...]:
+    return (('policy', self._policy), ('value', self._value))
+
   def _set_learning_rate(self, value: float) -> None:
     self.learning_rate = value
+    for _, part in self._parts():
+      part.set_learning_rate(value)
+
+
+class _Part:
+  """Parameters that are learned together, and their optimiser."""
+
+  def __init__(
+    self, parameters: list[nn.Parameter], config: config_lib.PPOConfig
+  ):
+    self._parameters = parameters
+    self._max_norm = config.max_gradient_norm
+    self._optimiser = torch.optim.Adam(
+      parameters, lr=config.learning_rate, eps=1e-5, fused=True
+    )
+
+  def descend(self, loss: torch.Tensor) -> torch.Tensor:
+    """Takes one step; returns the norm of the gradient before clipping."""
+    self._optimiser.zero_grad(set_to_none=True)
+    loss.backward()
+    norm = nn.utils.clip_grad_norm_(self._parameters, self._max_norm)
+    if not math.isfinite(norm):
+      raise FloatingPointError(
+        'A gradient is not finite; the last checkpoint is unharmed: resume '
+        'from it, with a lower learning rate if it recurs.'
+      )
+    self._optimiser.step()
+    return norm
+
+  def set_learning_rate(self, value: float) -> None:
     for group in self._optimiser.param_groups:
       group['lr'] = value
+
+  def state(self) -> dict[str, torch.Tensor]:
+    """Returns the moments, `NUMBER/NAME`; empty before the first step."""
+    return {
+      f'{i}/{key}': value
+      for i, parameter in enumerate(self._parameters)
+      for key, value in self._optimiser.state.get(parameter, {}).items()
+    }
+
+  def restore(self, state: Mapping[str, torch.Tensor]) -> None:
+    self._optimiser.state.clear()
+    for name, value in state.items():
+      number, _, key = name.partition('/')
+      moments = self._optimiser.state[self._parameters[int(number)]]
+      moments[key] = value.clone()

@@ -1,10 +1,6 @@
 """Advantages and losses of PPO, as free functions."""
 
-from typing import NamedTuple
-
 import torch
-
-from dmc_multimode.agents.ppo import networks
 
 
 def generalised_advantages(
@@ -59,39 +55,24 @@ def normalised(
   return result
 
 
-class Losses(NamedTuple):
-  """Scalars; `policy`, `value` and `entropy` make up the objective."""
-
-  policy: torch.Tensor
-  value: torch.Tensor
-  entropy: torch.Tensor
-  clip_fraction: torch.Tensor
-
-
-def ppo_losses(
+def surrogate_loss(
   new_log_prob: torch.Tensor,
   old_log_prob: torch.Tensor,
   advantages: torch.Tensor,
-  values: torch.Tensor,
-  targets: torch.Tensor,
-  std: torch.Tensor,
   clip: float,
-) -> Losses:
-  """The clipped surrogate objective (Schulman et al. 2017, Eq. 7).
+) -> tuple[torch.Tensor, torch.Tensor]:
+  """The clipped surrogate objective (Schulman et al. 2017, Eq. 7), negated.
 
   Args:
     new_log_prob, old_log_prob: of the actions taken, [N].
     advantages: normalised, [N].
-    values, targets: predicted and bootstrapped returns, [N].
-    std: of the actions, [A].
     clip: epsilon.
+
+  Returns:
+    The loss, and the share of samples whose ratio is beyond the clip; scalars.
   """
   ratio = torch.exp(new_log_prob - old_log_prob)
   clipped = ratio.clamp(1 - clip, 1 + clip)
   surrogate = torch.min(ratio * advantages, clipped * advantages)
-  return Losses(
-    policy=-surrogate.mean(),
-    value=torch.mean((values - targets) ** 2),
-    entropy=networks.entropy(std),
-    clip_fraction=(torch.abs(ratio.detach() - 1) > clip).float().mean(),
-  )
+  outside = (torch.abs(ratio.detach() - 1) > clip).float().mean()
+  return -surrogate.mean(), outside

@@ -49,9 +49,10 @@ def _network(
   )
 
 
-def _learner(**changes: Any) -> learning.PPOLearner:
+def _learner(parallel: bool = False, **changes: Any) -> learning.PPOLearner:
   config = dataclasses.replace(_CONFIG, **changes)
-  return learning.PPOLearner(_network(config), config, seed=1)
+  network = _network(config)
+  return learning.PPOLearner(network, config, seed=1, parallel=parallel)
 
 
 def _rollouts(
@@ -219,11 +220,14 @@ def test_gradient_clipping() -> None:
   rollouts.rewards.mul_(1e4)
   learner = _learner(max_gradient_norm=1e-6, target_kl=0.0)
   before = learner.state()
-  assert learner.step(rollouts)['gradient_norm'] > 1.0
-  # Adam's eps of 1e-5 outweighs such a gradient.
-  moved = learner.state()['network/value.0.weight']
-  difference = (moved - before['network/value.0.weight']).abs().max()
-  assert 0 < difference < 0.2 * 16 * _CONFIG.learning_rate
+  metrics = learner.step(rollouts)
+  assert metrics['gradient_norm/value'] > 1.0
+  assert metrics['gradient_norm/policy'] > 1e-3
+  # Adam's eps of 1e-5 outweighs such gradients.
+  for name in ('network/policy.0.weight', 'network/value.0.weight'):
+    difference = (learner.state()[name] - before[name]).abs().max()
+    steps = _CONFIG.epochs * _CONFIG.minibatches
+    assert 0 < difference < 0.2 * steps * _CONFIG.learning_rate
 
 
 def test_normaliser_takes_in_every_step_once() -> None:
@@ -271,6 +275,53 @@ def test_update_that_is_not_finite_is_undone(warm: bool) -> None:
   rollouts = _rollouts(learner.network, seed=2)
   assert learner.step(rollouts) == twin.step(rollouts)
   assert _same(learner.state(), twin.state())
+
+
+# Policy and value side by side.
+
+
+def test_side_by_side_the_same_is_learned() -> None:
+  results = []
+  for parallel in (False, True):
+    learner = _learner(parallel)
+    metrics = [
+      learner.step(_rollouts(learner.network, seed)) for seed in range(3)
+    ]
+    results.append((metrics, learner.state()))
+  (metrics, state), (other_metrics, other_state) = results
+  assert metrics == other_metrics
+  assert _same(state, other_state)
+
+
+def test_policy_learns_nothing_from_the_value_s_error() -> None:
+  learner, other = _learner(), _learner()
+  with torch.no_grad():  # Normalised advantages do not tell scales apart.
+    for rewarded, scale in ((learner, 1.0), (other, 100.0)):
+      rewarded.network.value[-1].weight.zero_()
+      rollouts = _rollouts(rewarded.network)
+      rollouts.rewards.mul_(scale)
+      with torch.enable_grad():
+        rewarded.step(rollouts)
+  mine, theirs = learner.state(), other.state()
+  for key in mine:
+    if key.startswith('network/policy'):
+      torch.testing.assert_close(mine[key], theirs[key])
+  key = 'network/value.0.weight'
+  assert not torch.allclose(mine[key], theirs[key], atol=1e-5)
+
+
+@pytest.mark.parametrize('parallel', [False, True])
+@pytest.mark.parametrize('part', ['policy', 'value'])
+def test_failure_of_either_part_undoes_both(parallel: bool, part: str) -> None:
+  learner = _learner(parallel)
+  rollouts = _rollouts(learner.network)
+  before = learner.state()
+  getattr(learner.network, part)[0].weight.register_hook(
+    lambda gradient: gradient * math.nan
+  )
+  with pytest.raises(FloatingPointError, match='gradient'):
+    learner.step(rollouts)
+  assert _same(learner.state(), before)
 
 
 # Ends of episodes. With one minibatch and one epoch, the value loss is that of
@@ -454,7 +505,7 @@ def test_acting() -> None:
     ({'discount': math.nan}, 'discount'),
     ({'gae_lambda': 1.1}, 'gae_lambda'),
     ({'entropy_coefficient': -0.1}, 'entropy_coefficient'),
-    ({'value_coefficient': math.nan}, 'value_coefficient'),
+    ({'entropy_coefficient': math.nan}, 'entropy_coefficient'),
     ({'target_kl': -0.01}, 'target_kl'),
     ({'anneal_start': -1}, 'anneal_start'),
     ({'anneal_start': 2, 'anneal_end': 1}, 'anneal_end'),
@@ -515,9 +566,10 @@ class _Recording(learning.PPOLearner):
     super().__init__(*args, **kwargs)
     self.batches: list[Any] = []
 
-  def _update(self, batch: Any) -> dict[str, torch.Tensor]:
-    self.batches.append(batch)
-    return {'loss/policy': torch.zeros(())}
+  def _fit(self, samples: Any, batches: Any) -> list[learning.Metrics]:
+    rows = lambda ids: type(samples)(*(field[ids] for field in samples))
+    self.batches += [rows(ids) for ids in batches]
+    return [{'loss/policy': torch.zeros(())}]
 
 
 def _commanded_rollouts(
