@@ -14,6 +14,7 @@ import numpy as np
 
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track as track_lib
+from dmc_multimode.suite import curriculum
 from dmc_multimode.suite import imitation
 from dmc_multimode.suite import imitation_core
 from dmc_multimode.suite import mini_biped
@@ -113,6 +114,10 @@ class BatchedImitation:
     self._final = np.zeros(num_worlds, dtype=np.int64)
     self._ended = np.zeros(num_worlds, dtype=bool)
     self._total_steps = 0
+    self.assistance = curriculum.TakeoffAssistance(
+      self.config.assist_steps, self.core.tracker.bank.takeoffs > 0
+    )
+    self._tighten()
     self.outcome: imitation_core.Outcome | None = None
 
   def _set_up_physics(self, model: mujoco.MjModel, num_threads: int) -> None:
@@ -167,6 +172,8 @@ class BatchedImitation:
   def step(self, actions: np.ndarray) -> BatchedTimeStep:
     """Applies actions, [B, 10], for one control step."""
     diverged = self._advance_physics(actions)
+    self._total_steps += self.num_worlds
+    self.assistance.advance(self.num_worlds)
     self._tighten()
     outcome = self.core.advance(self.qpos, self.qvel, self.feet_contact())
     if len(diverged):
@@ -174,15 +181,22 @@ class BatchedImitation:
       outcome.reward[diverged] = 0.0
     self.outcome = outcome
     self._returns += outcome.reward
+    self._assist()
     self._move_boxes(self.core.switch(self.qpos, self._random_state))
     observation = self._observe()
     return self._conclude(outcome, observation)
 
   def _tighten(self) -> None:
     """Follows the schedule of the bound on the distance."""
-    self._total_steps += self.num_worlds
     distance = self.config.distance_after(self._total_steps)
     self.core.limits = self.core.limits._replace(distance=distance)
+
+  def _assist(self) -> None:
+    """Helps the robots whose references take off."""
+    if not self.assistance.share:
+      return
+    ids, wanted = self.core.tracker.take_offs()
+    self.qvel[ids, :3] += self.assistance.boost(self.qvel[ids, :3], wanted)
 
   def _advance_physics(self, actions: np.ndarray) -> np.ndarray:
     """Returns the worlds in which the engine gave up."""
@@ -229,6 +243,7 @@ class BatchedImitation:
     )
     if len(ids):
       self.episodes.update(results.initial, results.final, results.returns)
+      self.assistance.update(results.final, results.causes == 0)
     return results
 
   def _begin(self, ids: np.ndarray) -> None:
@@ -309,7 +324,8 @@ class BatchedImitation:
       f'terrain/{name}': field.copy()
       for name, field in self.core.terrain._asdict().items()
     }
-    state |= {f'episodes/{k}': v for k, v in self.episodes.state().items()}
+    for name, part in self._stateful_parts():
+      state |= {f'{name}/{k}': v for k, v in part.state().items()}
     _, keys, position, has_gauss, gauss = self._random_state.get_state()
     state['random/keys'] = keys
     state['random/rest'] = np.array([position, has_gauss, gauss])
@@ -337,13 +353,18 @@ class BatchedImitation:
     ):
       for name, field in fields._asdict().items():
         field[:] = state[f'{prefix}/{name}']
-    self.episodes.restore(_sub(state, 'episodes/'))
+    for name, part in self._stateful_parts():
+      part.restore(_sub(state, f'{name}/'))
     position, has_gauss, gauss = state['random/rest']
     self._random_state.set_state(
       ('MT19937', state['random/keys'], int(position), int(has_gauss), gauss)
     )
+    self._tighten()
     self._move_boxes(np.arange(self.num_worlds))
     return self._observe()
+
+  def _stateful_parts(self) -> tuple[tuple[str, Any], ...]:
+    return (('episodes', self.episodes), ('assistance', self.assistance))
 
 
 def _sub(state: Mapping[str, np.ndarray], prefix: str) -> dict[str, Any]:

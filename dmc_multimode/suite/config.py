@@ -23,6 +23,9 @@ class ImitationConfig:
     early_distance: bound on the distance from the reference at the start of a
       training, metres; it falls to `limits.distance` over `tighten_steps`.
     tighten_steps: control steps of all worlds together; 0 for no schedule.
+    assist_steps: control steps of all worlds together over which help with
+      take-offs fades, of those in which enough episodes survive, see
+      `TakeoffAssistance`; 0 for no help.
     reference_starts: share of the episodes that start on the reference at a
       random phase, with the reference's velocity.
     edge_noise: half-width of the uniform noise on the distance to a step that
@@ -37,9 +40,10 @@ class ImitationConfig:
   limits: terminations.TerminationLimits = terminations.TerminationLimits()
   early_distance: float = 0.5
   tighten_steps: int = 0
+  assist_steps: int = 0
   time_limit: float = 4.5
   control_timestep: float = 0.03
-  physics_timestep: float = 0.005
+  physics_timestep: float = 0.01
   servo_inertia: bool = True
   reference_starts: float = 0.5
   edge_noise: float = 0.04
@@ -90,11 +94,15 @@ class ImitationConfig:
 def for_evaluation(config: ImitationConfig) -> ImitationConfig:
   """Returns the task without what only serves training.
 
-  Episodes start from rest, edges are in place, and the bound on the distance
-  is the final one.
+  Episodes start from rest, edges are in place, nobody helps, and the bound on
+  the distance is the final one.
   """
   return dataclasses.replace(
-    config, reference_starts=0.0, edge_noise=0.0, tighten_steps=0
+    config,
+    reference_starts=0.0,
+    edge_noise=0.0,
+    tighten_steps=0,
+    assist_steps=0,
   )
 
 

@@ -135,6 +135,22 @@ class ModeTracker:
     if over.any():
       self._wrap(over)
 
+  def take_offs(self) -> tuple[np.ndarray, np.ndarray]:
+    """Returns who took off in the control step that `advance` ended.
+
+    Returns:
+      The worlds whose clocks have just passed the take-off of their mode, [N],
+      and the velocities that their references take off with, world m/s, [N, 3].
+    """
+    state, bank = self.state, self.bank
+    takeoffs = bank.takeoffs[state.mode]
+    rate = self._timestep * state.clock_rate / bank.durations[state.mode]
+    passed = (state.phase >= takeoffs) & (state.phase - rate < takeoffs)
+    ids = np.flatnonzero(passed & (takeoffs > 0))
+    velocity = bank.start_velocity(state.mode[ids], takeoffs[ids])
+    velocity *= state.clock_rate[ids, None]
+    return ids, _turn(velocity, state.heading[ids])
+
   def _wrap(self, over: np.ndarray) -> None:
     """Ends a cycle: transient modes hold, the others begin again."""
     state, bank = self.state, self.bank

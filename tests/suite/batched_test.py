@@ -33,6 +33,7 @@ from dmc_multimode.suite import terminations
 
 _MOTIONS = tuple(library.modes().values())
 _BOOK = codebook.one_hot(_MOTIONS)
+_LAUNCH = _BOOK.names.index('launch')
 _TOLERANCE = 1e-9
 _FLOAT32 = 1e-6  # Of the float32 observations, of which many are about 1.
 _STEPS = 30
@@ -350,6 +351,87 @@ class StateTest(parameterized.TestCase):
     state = batched.BatchedImitation(_transitions(), 3, 0, 1).state()
     with self.assertRaisesRegex(ValueError, 'same number of worlds'):
       batched.BatchedImitation(_transitions(), 4, 0, 1).restore(state)
+
+
+class SchedulesTest(parameterized.TestCase):
+  """What changes in the course of a training."""
+
+  def _worlds(self, **changes: Any) -> batched.BatchedImitation:
+    """Eight robots that launch themselves from rest."""
+    task_config = dataclasses.replace(_ENDLESS, reference_starts=0.0, **changes)
+    task = multimode_biped.make_task(
+      _MOTIONS,
+      _BOOK,
+      episodes.ScheduledEpisodes(schedule.single(np.array([_LAUNCH]))),
+      config=task_config,
+    )
+    worlds = batched.BatchedImitation(task, 8, 0, 1)
+    worlds.reset()
+    return worlds
+
+  def _step(self, worlds: batched.BatchedImitation) -> batched.BatchedTimeStep:
+    return worlds.step(np.tile(worlds.standing_action(), (8, 1)))
+
+  def test_bound_tightens(self) -> None:
+    limits = _ENDLESS.limits._replace(distance=1.0)
+    worlds = self._worlds(limits=limits, early_distance=2.0, tighten_steps=40)
+    bounds = []
+    for _ in range(6):
+      self._step(worlds)
+      bounds.append(worlds.core.limits.distance)
+    # After 8, 16, 24, ... control steps of all worlds.
+    np.testing.assert_allclose(bounds, [1.8, 1.6, 1.4, 1.2, 1.0, 1.0])
+
+  @parameterized.parameters(1.0, 0.25, 0.0)
+  def test_help_at_take_off(self, share: float) -> None:
+    """Phases are 0.03 / 1.1 apart: the take-off at 0.42 is in step 16."""
+    worlds, alone = self._worlds(assist_steps=1000), self._worlds()
+    worlds.assistance.share = share
+    for _ in range(15):
+      self._step(worlds)
+      self._step(alone)
+    np.testing.assert_array_equal(worlds.qvel, alone.qvel)
+    self._step(worlds)
+    self._step(alone)
+    bank = alone.core.tracker.bank
+    modes, takeoff = np.array([_LAUNCH]), np.array([0.42])
+    wanted = bank.start_velocity(modes, takeoff)[0]
+    gain = worlds.qvel - alone.qvel
+    np.testing.assert_array_equal(gain[:, 3:], 0.0)
+    # They stand, more or less: what they have of it is next to nothing.
+    np.testing.assert_allclose(
+      gain[:, :3], np.tile(share * wanted, (8, 1)), atol=0.3 * share
+    )
+    self._step(worlds)  # And that was it.
+    self.assertLess(worlds.qvel[:, 2].max(), 0.3 + share * wanted[2])
+
+  @parameterized.parameters((-np.inf, 0.0), (np.inf, 1.0))
+  def test_help_fades_when_they_survive(
+    self, height: float, share: float
+  ) -> None:
+    limits = _ENDLESS.limits._replace(height=height)
+    worlds = self._worlds(time_limit=0.06, limits=limits, assist_steps=80)
+    for _ in range(60):
+      self._step(worlds)
+    self.assertEqual(worlds.assistance.share, share)
+
+  def test_goes_on_where_it_was(self) -> None:
+    limits = _ENDLESS.limits._replace(distance=1.0)
+    changes: dict[str, Any] = {
+      'limits': limits,
+      'early_distance': 2.0,
+      'tighten_steps': 400,
+      'assist_steps': 400,
+    }
+    worlds, other = self._worlds(**changes), self._worlds(**changes)
+    survived = np.ones(500, dtype=bool)
+    worlds.assistance.update(np.full(500, _LAUNCH), survived)
+    _rollout(worlds, 10)
+    other.restore(worlds.state())
+    self.assertAlmostEqual(other.core.limits.distance, 1.8)
+    _assert_same(_rollout(worlds, 10), _rollout(other, 10))
+    self.assertAlmostEqual(worlds.assistance.share, 0.6)
+    self.assertEqual(other.assistance.share, worlds.assistance.share)
 
 
 class DivergenceTest(parameterized.TestCase):

@@ -14,7 +14,7 @@ from dmc_multimode.suite import terminations
 class ImitationConfigTest(parameterized.TestCase):
   def test_defaults(self) -> None:
     values = config.ImitationConfig()
-    self.assertEqual(values.substeps, 6)
+    self.assertEqual(values.substeps, 3)
     self.assertEqual(values.horizon, 150)
 
   def test_one_millisecond(self) -> None:
@@ -36,8 +36,9 @@ class ImitationConfigTest(parameterized.TestCase):
 
   def test_for_evaluation(self) -> None:
     values = config.for_evaluation(
-      config.ImitationConfig(time_limit=3.0, tighten_steps=100)
+      config.ImitationConfig(time_limit=3.0, tighten_steps=100, assist_steps=9)
     )
+    self.assertEqual(values.assist_steps, 0)
     self.assertEqual(values.reference_starts, 0.0)
     self.assertEqual(values.edge_noise, 0.0)
     self.assertEqual(values.distance_after(0), values.limits.distance)

@@ -322,6 +322,40 @@ class RowsTest(parameterized.TestCase):
     np.testing.assert_array_equal(tracker.airborne(_FIRST), [False])
 
 
+class TakeOffsTest(parameterized.TestCase):
+  @parameterized.parameters(
+    ('launch', 0.40, 1.0, True),
+    ('launch', 0.38, 1.0, False),  # 0.03 / 1.1 = 0.027: not there yet.
+    ('launch', 0.38, 2.0, True),
+    ('launch', 0.42, 1.0, False),  # Passed already.
+    ('launch', 1.0, 1.0, False),
+    ('leap_forward', 0.40, 1.0, False),  # It may be left at any time.
+  )
+  def test_who_and_how_fast(
+    self, name: str, phase: float, clock_rate: float, expected: bool
+  ) -> None:
+    motions = tuple(library.modes().values())
+    tracker = tracking.ModeTracker(
+      motions, codebook.one_hot(motions), 0.03, 2, 1
+    )
+    # The other world stands, whatever its phase.
+    index = tracker.bank.index
+    plan = schedule.single(np.array([index('idle'), index(name)]), clock_rate)
+    tracker.reset(np.arange(2), plan, np.array([0.5, phase]), np.zeros(2))
+    tracker.state.heading[:] = np.pi / 2
+    tracker.advance()
+    ids, velocity = tracker.take_offs()
+    self.assertEqual(ids.tolist(), [1] if expected else [])
+    if expected:
+      x, _, z = tracker.bank.start_velocity(
+        np.array([index('launch')]), np.array([0.42])
+      )[0]
+      self.assertGreater(z, 2.0)
+      np.testing.assert_allclose(
+        velocity, [clock_rate * np.array([0.0, x, z])], atol=1e-12
+      )
+
+
 class ResetTest(parameterized.TestCase):
   def test_worlds_are_independent(self) -> None:
     tracker = _tracker(num_worlds=3)

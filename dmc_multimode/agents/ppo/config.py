@@ -14,7 +14,7 @@ class PPOConfig:
 
   Attributes:
     hidden_sizes: widths of the hidden layers of policy and value networks.
-    activation: of the hidden layers: 'tanh', or 'elu', which costs a CPU more.
+    activation: of the hidden layers, 'elu' or 'tanh'.
     rollout_length: control steps a world and iteration.
     discount: gamma.
     gae_lambda: lambda of generalised advantage estimation.
@@ -46,7 +46,7 @@ class PPOConfig:
   """
 
   hidden_sizes: tuple[int, ...] = (256, 128)
-  activation: str = 'tanh'
+  activation: str = 'elu'
   rollout_length: int = 16
   discount: float = 0.97
   gae_lambda: float = 0.95
