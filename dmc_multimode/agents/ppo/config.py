@@ -56,7 +56,7 @@ class PPOConfig:
   entropy_coefficient: float = 0.002
   learning_rate: float = 5e-4
   target_kl: float = 0.03
-  min_learning_rate: float = 5e-5
+  min_learning_rate: float = 2e-4
   max_learning_rate: float = 2e-3
   max_gradient_norm: float = 1.0
   initial_std: float = 0.2
@@ -91,6 +91,11 @@ class PPOConfig:
       value = getattr(self, name)
       if not (math.isfinite(value) and value >= 0):
         raise ValueError(f'{name} must not be negative, got {value}.')
+    if self.min_learning_rate > self.max_learning_rate:
+      raise ValueError(
+        f'min_learning_rate {self.min_learning_rate} is above '
+        f'max_learning_rate {self.max_learning_rate}.'
+      )
     if not 0 <= self.discount < 1:
       raise ValueError(f'discount must be in [0, 1), got {self.discount}.')
     if not 0 <= self.gae_lambda <= 1:

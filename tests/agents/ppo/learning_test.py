@@ -506,6 +506,7 @@ def test_acting() -> None:
     ({'gae_lambda': 1.1}, 'gae_lambda'),
     ({'entropy_coefficient': -0.1}, 'entropy_coefficient'),
     ({'entropy_coefficient': math.nan}, 'entropy_coefficient'),
+    ({'max_learning_rate': 1e-4}, 'min_learning_rate'),
     ({'target_kl': -0.01}, 'target_kl'),
     ({'anneal_start': -1}, 'anneal_start'),
     ({'anneal_start': 2, 'anneal_end': 1}, 'anneal_end'),
