@@ -53,7 +53,7 @@ class RunConfig:
   ppo: ppo_config.PPOConfig = ppo_config.PPOConfig(symmetry='alternate')
   sampling: sampling_lib.SamplingConfig = sampling_lib.SamplingConfig()
   task: task_config.ImitationConfig = task_config.ImitationConfig(
-    tighten_steps=3_000_000, assist_steps=2_000_000
+    physics_timestep=0.01, tighten_steps=3_000_000, assist_steps=2_000_000
   )
 
   def __post_init__(self) -> None:

@@ -43,7 +43,7 @@ class ImitationConfig:
   assist_steps: int = 0
   time_limit: float = 4.5
   control_timestep: float = 0.03
-  physics_timestep: float = 0.01
+  physics_timestep: float = 0.005
   servo_inertia: bool = True
   reference_starts: float = 0.5
   edge_noise: float = 0.04

@@ -14,7 +14,7 @@ from dmc_multimode.suite import terminations
 class ImitationConfigTest(parameterized.TestCase):
   def test_defaults(self) -> None:
     values = config.ImitationConfig()
-    self.assertEqual(values.substeps, 3)
+    self.assertEqual(values.substeps, 6)
     self.assertEqual(values.horizon, 150)
 
   def test_one_millisecond(self) -> None:
