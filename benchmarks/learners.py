@@ -53,10 +53,12 @@ class Learner(Protocol):
     environment: those worlds.
     update: classes and names of the methods that are called between the last
       step of a rollout and the first of the next.
+    threads: of torch's, for each operation.
   """
 
   environment: batched.BatchedImitation
   update: Methods
+  threads: int
 
   def iterate(self) -> None:
     """Collects one rollout of every world and learns from it."""
@@ -75,6 +77,7 @@ class Ours:
     self.environment = run.environment
     self.network = run.network
     self.select_action = run.policy().select_action
+    self.threads = torch.get_num_threads()  # As `run_setup.build` left them.
 
   def iterate(self) -> None:
     """See `Learner`."""
@@ -109,9 +112,17 @@ def make(
     return Ours(run)
   module = importlib.import_module(_LIBRARIES[name])
   scale = 1 - config.ppo.discount if scale_rewards else 1.0
-  return module.Learner(
+  learner: Learner = module.Learner(
     run.environment, run.network, config.ppo, config.seed, scale
   )
+  learner.threads = config.threads
+  return learner
+
+
+def iterate(learner: Learner) -> None:
+  """Lets `learner` iterate once on as many threads as suit it."""
+  torch.set_num_threads(learner.threads)
+  learner.iterate()
 
 
 def missing(error: ModuleNotFoundError) -> ModuleNotFoundError:

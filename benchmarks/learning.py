@@ -116,7 +116,7 @@ def drive(learner: learners_lib.Learner) -> Lap:
     learners_lib.timing(step) as environment,
   ):
     began = time.perf_counter()
-    learner.iterate()
+    learners_lib.iterate(learner)
     total = time.perf_counter() - began
   return Lap(total, sum(update), sum(environment))
 

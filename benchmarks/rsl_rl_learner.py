@@ -127,6 +127,7 @@ def settings(ppo: ppo_config.PPOConfig, groups: list[str]) -> dict[str, Any]:
 class Learner:
   """See `learners.Learner`."""
 
+  threads = 1
   update: learners.Methods = (
     (algorithms.PPO, 'compute_returns'),
     (algorithms.PPO, 'update'),

@@ -132,6 +132,7 @@ def settings(ppo: ppo_config.PPOConfig, num_worlds: int) -> dict[str, Any]:
 class Learner:
   """See `learners.Learner`."""
 
+  threads = 1
   update: learners.Methods = (
     (buffers.RolloutBuffer, 'compute_returns_and_advantage'),
     (stable_baselines3.PPO, 'train'),
