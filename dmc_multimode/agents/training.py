@@ -220,26 +220,17 @@ class TrainingLoop:
       ValueError: the state is of another network, task or number of worlds.
     """
     try:
-      self._learner.restore(_sub(tensors, 'learner/'))
-      self._actor.restore(_sub(tensors, 'actor/'))
+      self._learner.restore(learning.part_of(tensors, 'learner/'))
+      self._actor.restore(learning.part_of(tensors, 'actor/'))
       world_state = {
-        k: v.numpy() for k, v in _sub(tensors, 'environment/').items()
+        k: v.numpy()
+        for k, v in learning.part_of(tensors, 'environment/').items()
       }
       self._observation = torch.from_numpy(
         self._environment.restore(world_state)
       )
-      for name, value in _sub(tensors, 'tracker/').items():
+      for name, value in learning.part_of(tensors, 'tracker/').items():
         getattr(self._returns, name)[:] = value.numpy()
     except KeyError as error:
       raise ValueError(f'The checkpoint lacks {error}.') from error
     self.steps, self.iterations = values['steps'], values['iterations']
-
-
-def _sub(
-  tensors: Mapping[str, torch.Tensor], prefix: str
-) -> dict[str, torch.Tensor]:
-  return {
-    key.removeprefix(prefix): value
-    for key, value in tensors.items()
-    if key.startswith(prefix)
-  }

@@ -117,7 +117,6 @@ class BatchedImitation:
     self.assistance = curriculum.TakeoffAssistance(
       self.config.assist_steps, self.core.tracker.bank.takeoffs > 0
     )
-    self._tighten()
     self.outcome: imitation_core.Outcome | None = None
 
   def _set_up_physics(self, model: mujoco.MjModel, num_threads: int) -> None:

@@ -126,14 +126,17 @@ class ModeTracker:
 
   def advance(self) -> None:
     """Moves every world's clock on by one control step."""
-    state, bank = self.state, self.bank
+    state = self.state
     state.step[:] += 1
-    mode = state.mode
-    rate = self._timestep * state.clock_rate / bank.durations[mode]
-    state.phase[:] += rate
+    state.phase[:] += self._phase_step()
     over = state.phase >= 1.0
     if over.any():
       self._wrap(over)
+
+  def _phase_step(self) -> np.ndarray:
+    """How far the clocks run in a control step, [B]."""
+    state, durations = self.state, self.bank.durations
+    return self._timestep * state.clock_rate / durations[state.mode]
 
   def take_offs(self) -> tuple[np.ndarray, np.ndarray]:
     """Returns who took off in the control step that `advance` ended.
@@ -144,8 +147,8 @@ class ModeTracker:
     """
     state, bank = self.state, self.bank
     takeoffs = bank.takeoffs[state.mode]
-    rate = self._timestep * state.clock_rate / bank.durations[state.mode]
-    passed = (state.phase >= takeoffs) & (state.phase - rate < takeoffs)
+    before = state.phase - self._phase_step()
+    passed = (state.phase >= takeoffs) & (before < takeoffs)
     ids = np.flatnonzero(passed & (takeoffs > 0))
     velocity = bank.start_velocity(state.mode[ids], takeoffs[ids])
     velocity *= state.clock_rate[ids, None]

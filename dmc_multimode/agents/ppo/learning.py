@@ -307,26 +307,14 @@ class PPOLearner:
 
   def restore(self, state: Mapping[str, torch.Tensor]) -> None:
     """Takes over a `state`; raises ValueError when it is of another network."""
-    weights = {
-      key.removeprefix('network/'): value
-      for key, value in state.items()
-      if key.startswith('network/')
-    }
     try:
-      self.network.load_state_dict(weights)
+      self.network.load_state_dict(part_of(state, 'network/'))
     except RuntimeError as error:
       raise ValueError(
         f'The checkpoint is of another network: {error}'.replace('\n', ' ')
       ) from error
     for name, part in self._parts():
-      prefix = f'optimiser/{name}/'
-      part.restore(
-        {
-          key.removeprefix(prefix): value
-          for key, value in state.items()
-          if key.startswith(prefix)
-        }
-      )
+      part.restore(part_of(state, f'optimiser/{name}/'))
     self._lower_std_floor()
     self._generator.set_state(state['generator'])
     self._set_learning_rate(float(state['learning_rate']))
@@ -338,6 +326,17 @@ class PPOLearner:
     self.learning_rate = value
     for _, part in self._parts():
       part.set_learning_rate(value)
+
+
+def part_of(
+  state: Mapping[str, torch.Tensor], prefix: str
+) -> dict[str, torch.Tensor]:
+  """Returns what has names that begin with `prefix`, by the rest of them."""
+  return {
+    key.removeprefix(prefix): value
+    for key, value in state.items()
+    if key.startswith(prefix)
+  }
 
 
 class _Part:
