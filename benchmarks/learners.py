@@ -12,7 +12,8 @@ or the reverse, stays:
   by minibatch, and has no floor for the standard deviation.
 - Ours fits policy and value function apart, each with its own bound on the
   gradient's norm.
-- Ours alone lowers the floor of the standard deviation (`anneal_start`).
+- Ours alone keeps the standard deviation below where it begins, and lowers its
+  bounds (`anneal_start`).
 """
 
 import contextlib

@@ -13,12 +13,8 @@ privileged information, which not all of them know.
 """
 
 import dataclasses
-import importlib.metadata
-import json
 import math
-import os
 import pathlib
-import platform
 import sys
 import time
 from typing import Any, cast, Mapping, NamedTuple, Sequence
@@ -28,12 +24,11 @@ import mujoco
 import numpy as np
 import tqdm
 
+from benchmarks import common
 from benchmarks import learners as learners_lib
-from dmc_multimode import atomic
 from dmc_multimode import pretrained
 from dmc_multimode.agents import evaluation
 from dmc_multimode.bin import app
-from dmc_multimode.bin import config_flags
 from dmc_multimode.bin import evaluate
 from dmc_multimode.bin import run_setup
 from dmc_multimode.modes import codebook as codebook_lib
@@ -42,16 +37,17 @@ from dmc_multimode.suite import batched
 from dmc_multimode.suite import config as task_config
 
 # The code of `evaluate` is what judges; its command line is not ours.
-for _flag in list(flags.FLAGS.flags_by_module_dict()[evaluate.__name__]):
-  delattr(flags.FLAGS, _flag.name)
+common.drop_flags(evaluate)
 
-_CORES = len(os.sched_getaffinity(0))
 _MODES = flags.DEFINE_string('modes', 'pi2', 'A mode set, or modes.')
 _NUM_WORLDS = flags.DEFINE_integer(
-  'num_worlds', 512, 'Worlds that are stepped together.', lower_bound=1
+  'num_worlds',
+  run_setup.RunConfig().num_worlds,
+  'Worlds that are stepped together.',
+  lower_bound=1,
 )
 _THREADS = flags.DEFINE_integer(
-  'threads', _CORES, 'Threads of physics and torch.', lower_bound=1
+  'threads', common.CORES, 'Threads of physics and torch.', lower_bound=1
 )
 _SEED = flags.DEFINE_integer('seed', 0, 'Of all randomness.', 0)
 _LEARNERS = flags.DEFINE_list(
@@ -72,9 +68,7 @@ _SCALE_REWARDS = flags.DEFINE_bool(
   'scale_rewards', True, 'Libraries get rewards times 1 - gamma; else raw.'
 )
 _OUT = flags.DEFINE_string('out', None, 'JSON file to write.')
-_PARTS = ('ppo', 'sampling', 'task')
-for _part in _PARTS:
-  config_flags.define(getattr(run_setup.RunConfig(), _part), _part)
+common.define_run_flags()
 
 _SHARED = ('--ppo_symmetry=none', '--noppo_privileged_critic')
 _EPISODES = 4  # As `evaluate` runs by default.
@@ -252,29 +246,15 @@ def _print(result: Result) -> None:
 def _write(
   out: pathlib.Path | None, config: run_setup.RunConfig, result: Result
 ) -> None:
-  if out is None:
-    return
-  packages = ['mujoco', 'dm_control', 'torch', 'numpy', 'rsl-rl-lib']
-  packages += ['stable-baselines3', 'tensordict', 'gymnasium']
   report = {
     'benchmark': 'learning',
     **result._asdict(),
     'rounds': _ROUNDS.value,
     'scale_rewards': _SCALE_REWARDS.value,
     'config': run_setup.to_dict(config),
-    'versions': {name: _version(name) for name in packages},
-    'python': platform.python_version(),
-    'platform': platform.platform(),
-    'cores': _CORES,
   }
-  atomic.write(out, (json.dumps(report, indent=1) + '\n').encode())
-
-
-def _version(package: str) -> str | None:
-  try:
-    return importlib.metadata.version(package)
-  except importlib.metadata.PackageNotFoundError:
-    return None
+  packages = ('rsl-rl-lib', 'stable-baselines3', 'tensordict', 'gymnasium')
+  common.write_report(out, report, packages)
 
 
 def _eval_steps() -> list[int]:
@@ -294,28 +274,21 @@ def _eval_steps() -> list[int]:
 def main(argv: Sequence[str]) -> None:
   """Measures, prints, writes."""
   del argv
-  out = pathlib.Path(_OUT.value) if _OUT.value else None
-  if out is not None and not out.parent.is_dir():
-    raise ValueError(f'--out: there is no folder {out.parent}.')
+  out = common.out_path(_OUT.value)
   names, eval_steps = list(dict.fromkeys(_LEARNERS.value)), _eval_steps()
   if not names:
     raise ValueError(f'--learners: name some of {learners_lib.NAMES}.')
-  parts: dict[str, Any] = {
-    part: config_flags.read(getattr(run_setup.RunConfig(), part), part)
-    for part in _PARTS
-  }
-  config = run_setup.RunConfig(
+  config = common.run_config(
     modes=_MODES.value,
     seed=_SEED.value,
     num_worlds=_NUM_WORLDS.value,
     threads=_THREADS.value,
-    **parts,
   )
   ppo = config.ppo
   print(
     f'{config.modes}, {config.num_worlds} worlds x {ppo.rollout_length} steps, '
     f'{ppo.epochs} epochs x {ppo.minibatches} minibatches, {config.threads} '
-    f'threads on {_CORES} cores, mujoco {mujoco.__version__}'
+    f'threads on {common.CORES} cores, mujoco {mujoco.__version__}'
   )
   _print(compare(config, names, eval_steps, out))
 

@@ -27,6 +27,7 @@ except ModuleNotFoundError as error:
 
 _SEEN, _PRIVILEGED = 'policy', 'privileged'  # Groups of observations.
 _DEVICE = 'cpu'
+_ACTIVATIONS = {'silu': 'swish'}  # Where it has another name for one.
 _MAX_STD = 1e6  # Radians; none.
 
 
@@ -91,7 +92,7 @@ def settings(ppo: ppo_config.PPOConfig, groups: list[str]) -> dict[str, Any]:
   network = {
     'class_name': models.MLPModel,
     'hidden_dims': list(ppo.hidden_sizes),
-    'activation': ppo.activation,
+    'activation': _ACTIVATIONS.get(ppo.activation, ppo.activation),
     'obs_normalization': True,
   }
   distribution = {

@@ -47,7 +47,7 @@ class RunConfig:
 
   modes: str = 'quickstart'
   seed: int = 0
-  num_worlds: int = 512
+  num_worlds: int = 1024
   threads: int = 2
   one_hot: bool = False
   ppo: ppo_config.PPOConfig = ppo_config.PPOConfig(symmetry='alternate')

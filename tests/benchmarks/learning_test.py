@@ -260,7 +260,7 @@ def test_all_have_networks_and_hyperparameters_alike() -> None:
   assert shapes[0] == shapes[1] == shapes[2]
   seen = all_three['ours'].environment.reset()
   expected = all_three['ours'].select_action(seen)
-  assert expected.std(axis=0).min() > 1e-4
+  assert expected.std(axis=0).min() > 1e-5
   for learner in all_three.values():  # Their normalisers differ a little.
     np.testing.assert_allclose(learner.select_action(seen), expected, atol=1e-3)
   theirs = all_three['rsl_rl'].runner.alg  # type: ignore[attr-defined]

@@ -134,7 +134,7 @@ def test_privileged_critic(folder: pathlib.Path) -> None:
   np.testing.assert_array_equal(action, policy.select_action(seen.numpy()))
 
 
-@pytest.mark.parametrize('activation', ['elu', 'tanh'])
+@pytest.mark.parametrize('activation', ['elu', 'silu', 'tanh'])
 def test_activation(folder: pathlib.Path, activation: str) -> None:
   policy = _policy(activation=activation)
   policy.save(folder)
@@ -144,7 +144,7 @@ def test_activation(folder: pathlib.Path, activation: str) -> None:
   expected = policy.select_action(seen)
   np.testing.assert_array_equal(loaded.select_action(seen), expected)
   # The weights alone do not tell which it was.
-  other = {'elu': 'tanh', 'tanh': 'elu'}[activation]
+  other = {'elu': 'tanh', 'silu': 'elu', 'tanh': 'elu'}[activation]
   _edit(folder, activation=other)
   found = pretrained.load(folder).select_action(seen)
   assert not np.allclose(found, expected)

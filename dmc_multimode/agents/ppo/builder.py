@@ -40,7 +40,6 @@ class PPOBuilder:
         action_spec.shape[0],
         self._config.hidden_sizes,
         self._config.initial_std,
-        self._config.min_std,
         initial_action,
         privileged_size,
         self._config.activation,

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 
-ACTIVATIONS = ('elu', 'tanh')
+ACTIVATIONS = ('elu', 'silu', 'tanh')
 SYMMETRIES = ('none', 'augment', 'alternate')
 ADVANTAGES = ('all', 'mode')
 
@@ -14,7 +14,7 @@ class PPOConfig:
 
   Attributes:
     hidden_sizes: widths of the hidden layers of policy and value networks.
-    activation: of the hidden layers, 'elu' or 'tanh'.
+    activation: of the hidden layers, 'elu', 'silu' or 'tanh'.
     rollout_length: control steps a world and iteration.
     discount: gamma.
     gae_lambda: lambda of generalised advantage estimation.
@@ -25,16 +25,19 @@ class PPOConfig:
     learning_rate: at the start.
     target_kl: the learning rate falls when an update moves the policy by more
       than twice this and rises when by less than half; 0 keeps it fixed.
-    min_learning_rate, max_learning_rate: bounds of the adaptation.
+    min_learning_rate, max_learning_rate: bounds of the adaptation; they fall
+      with the floor of the standard deviation, in units of which the policy
+      moves.
     max_gradient_norm: the gradients of the policy, and those of the value
       function, are scaled down to it.
     initial_std: of the actions, radians.
     min_std: the standard deviation does not fall below; without a floor the
-      exploration collapses early.
+      exploration collapses early. It does not rise above `initial_std` either.
     final_min_std: where that floor ends: what is learned under much noise is
       not quite what is best without any.
     anneal_start, anneal_end: control steps of all worlds together between which
-      the floor falls, geometrically, from `min_std` to `final_min_std`.
+      the floor falls, geometrically, from `min_std` to `final_min_std`, and the
+      ceiling likewise: by itself the deviation stays where it is.
     learn_std: whether the standard deviation is learned, or stays as it is.
     symmetry: 'augment' adds the left-right mirror image of every sample;
       'alternate' shows each pass either the sample or its image, at half of the
@@ -46,21 +49,21 @@ class PPOConfig:
   """
 
   hidden_sizes: tuple[int, ...] = (256, 128)
-  activation: str = 'elu'
-  rollout_length: int = 16
+  activation: str = 'silu'
+  rollout_length: int = 8
   discount: float = 0.97
   gae_lambda: float = 0.95
-  epochs: int = 4
-  minibatches: int = 8
+  epochs: int = 3
+  minibatches: int = 4
   clip: float = 0.2
   entropy_coefficient: float = 0.002
   learning_rate: float = 5e-4
   target_kl: float = 0.03
-  min_learning_rate: float = 2e-4
+  min_learning_rate: float = 5e-4
   max_learning_rate: float = 2e-3
   max_gradient_norm: float = 1.0
   initial_std: float = 0.2
-  min_std: float = 0.14
+  min_std: float = 0.17
   final_min_std: float = 0.05
   anneal_start: int = 0
   anneal_end: int = 0
@@ -117,10 +120,12 @@ class PPOConfig:
           f'{name} {getattr(self, name)!r} is not one of {known}.'
         )
 
-  def std_floor(self, steps: int) -> float:
-    """Returns the floor of the standard deviation after `steps`, radians."""
+  def std_bounds(self, steps: int) -> tuple[float, float]:
+    """Returns the least and the largest std after `steps`, radians."""
     if steps >= self.anneal_end:
-      return self.final_min_std if self.anneal_end else self.min_std
-    span = self.anneal_end - self.anneal_start
-    share = max(steps - self.anneal_start, 0) / span
-    return self.min_std * (self.final_min_std / self.min_std) ** share
+      share = 1.0 if self.anneal_end else 0.0
+    else:
+      span = self.anneal_end - self.anneal_start
+      share = max(steps - self.anneal_start, 0) / span
+    fall = (self.final_min_std / self.min_std) ** share
+    return self.min_std * fall, max(self.initial_std, self.min_std) * fall

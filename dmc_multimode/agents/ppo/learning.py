@@ -104,6 +104,7 @@ class PPOLearner:
     self._value = _Part(value, config)
     self._worker = futures.ThreadPoolExecutor(1, 'value') if parallel else None
     self.learning_rate = config.learning_rate
+    network.bound_std(*self._std_bounds())
 
   def step(self, rollouts: Rollouts) -> dict[str, float]:
     """Learns from one iteration's rollouts; returns metrics by name.
@@ -135,7 +136,7 @@ class PPOLearner:
     kl = self._divergence(samples, old_std)
     self._adapt_learning_rate(kl)
     self.network.normaliser.update(rollouts.observations.flatten(0, 1))
-    self._lower_std_floor()
+    self.network.bound_std(*self._std_bounds())
     mean = {
       key: float(torch.stack([m[key] for m in metrics]).mean())
       for key in metrics[0]
@@ -253,6 +254,8 @@ class PPOLearner:
     norm = self._policy.descend(
       surrogate - config.entropy_coefficient * entropy
     )
+    # The parameter itself: one that has left its bounds must feel the gradient.
+    network.bound_std(*self._std_bounds())
     return {
       'loss/policy': surrogate.detach(),
       'loss/entropy': entropy.detach(),
@@ -278,20 +281,21 @@ class PPOLearner:
       ).mean()
     )
 
-  def _lower_std_floor(self) -> None:
-    """Follows the floor's schedule by the steps that were learned from."""
-    steps = int(self.network.normaliser.count)
-    self.network.min_std = self._config.std_floor(steps)
+  def _std_bounds(self) -> tuple[float, float]:
+    """Bounds of the std by the steps that were learned from."""
+    return self._config.std_bounds(int(self.network.normaliser.count))
 
   def _adapt_learning_rate(self, kl: float) -> None:
     """Holds the KL divergence of an iteration near its target."""
     config, rate = self._config, self.learning_rate
     if not config.target_kl:
       return
+    # A step is as long as it is in standard deviations.
+    scale = self._std_bounds()[0] / config.min_std
     if kl > 2 * config.target_kl:
-      rate = max(rate / _LEARNING_RATE_STEP, config.min_learning_rate)
+      rate = max(rate / _LEARNING_RATE_STEP, config.min_learning_rate * scale)
     elif kl < config.target_kl / 2:
-      rate = min(rate * _LEARNING_RATE_STEP, config.max_learning_rate)
+      rate = min(rate * _LEARNING_RATE_STEP, config.max_learning_rate * scale)
     self._set_learning_rate(rate)
 
   def state(self) -> dict[str, Any]:
@@ -315,7 +319,6 @@ class PPOLearner:
       ) from error
     for name, part in self._parts():
       part.restore(part_of(state, f'optimiser/{name}/'))
-    self._lower_std_floor()
     self._generator.set_state(state['generator'])
     self._set_learning_rate(float(state['learning_rate']))
 

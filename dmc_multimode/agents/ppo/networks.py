@@ -1,5 +1,6 @@
 """Gaussian policy, value function and observation normaliser."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -7,7 +8,7 @@ import torch
 from torch import nn
 
 _VARIANCE_FLOOR = 1e-4
-ACTIVATIONS = {'elu': nn.ELU, 'tanh': nn.Tanh}
+ACTIVATIONS = {'elu': nn.ELU, 'silu': nn.SiLU, 'tanh': nn.Tanh}
 _CLIP = 8.0  # Normalised observations beyond this many sigmas are cut off.
 
 
@@ -73,7 +74,6 @@ class ActorCritic(nn.Module):
     action_size: int,
     hidden_sizes: tuple[int, ...],
     initial_std: float = 0.25,
-    min_std: float = 0.1,
     initial_action: np.ndarray | None = None,
     privileged_size: int = 0,
     activation: str = 'elu',
@@ -85,7 +85,6 @@ class ActorCritic(nn.Module):
       action_size: A.
       hidden_sizes: of both networks.
       initial_std: of the actions.
-      min_std: floor of the standard deviation.
       initial_action: what the policy does before it learns, [A]; zero if None.
       privileged_size: P, how much more the value sees.
       activation: of the hidden layers, a name in `ACTIVATIONS`.
@@ -104,7 +103,6 @@ class ActorCritic(nn.Module):
     self.log_std = nn.Parameter(
       torch.full((action_size,), float(np.log(initial_std)))
     )
-    self.min_std = min_std
     for network, gain in ((self.policy, 0.01), (self.value, 1.0)):
       linears = linears_of(network)
       for linear in linears:
@@ -118,7 +116,12 @@ class ActorCritic(nn.Module):
   @property
   def std(self) -> torch.Tensor:
     """Standard deviation of the actions, [A]."""
-    return self.log_std.clamp(min=float(np.log(self.min_std))).exp()
+    return self.log_std.exp()
+
+  @torch.no_grad()
+  def bound_std(self, least: float, largest: float) -> None:
+    """Moves the standard deviation of every action into bounds."""
+    self.log_std.clamp_(math.log(least), math.log(largest))
 
   def act(self, observation: torch.Tensor) -> torch.Tensor:
     """Returns the mean actions for raw observations [..., D], [..., A].
@@ -149,14 +152,14 @@ def log_prob(
   action: torch.Tensor, mean: torch.Tensor, std: torch.Tensor
 ) -> torch.Tensor:
   """Log-density of diagonal Gaussians, [B, A] -> [B]."""
-  constant = 0.5 * float(np.log(2 * np.pi))
-  z = (action - mean) / std
-  return (-0.5 * z**2 - torch.log(std) - constant).sum(dim=-1)
+  z = (action - mean) * std.reciprocal()
+  constant = torch.log(std).sum() + 0.5 * math.log(2 * math.pi) * len(std)
+  return -0.5 * z.square().sum(dim=-1) - constant
 
 
 def entropy(std: torch.Tensor) -> torch.Tensor:
   """Entropy of a diagonal Gaussian with `std` [A], in nats."""
-  return (torch.log(std) + 0.5 * float(np.log(2 * np.pi * np.e))).sum()
+  return (torch.log(std) + 0.5 * math.log(2 * math.pi * math.e)).sum()
 
 
 def kl_divergence(

@@ -155,9 +155,9 @@ def test_learned_and_fixed_std() -> None:
 def test_std_floor_falls_with_the_steps() -> None:
   floor: dict[str, Any] = {'min_std': 0.4, 'final_min_std': 0.1}
   config = config_lib.PPOConfig(**floor, anneal_start=100, anneal_end=300)
-  found = [config.std_floor(steps) for steps in (0, 100, 200, 300, 1000)]
+  found = [config.std_bounds(steps)[0] for steps in (0, 100, 200, 300, 1000)]
   assert found == pytest.approx([0.4, 0.4, 0.2, 0.1, 0.1])
-  assert config_lib.PPOConfig(**floor).std_floor(1000) == 0.4
+  assert config_lib.PPOConfig(**floor).std_bounds(1000)[0] == 0.4
 
   learner = _learner(**floor, anneal_start=_T * _B, anneal_end=3 * _T * _B)
   learner.network.log_std.data.fill_(-9.0)
@@ -167,6 +167,49 @@ def test_std_floor_falls_with_the_steps() -> None:
   other = _learner(**floor, anneal_start=_T * _B, anneal_end=3 * _T * _B)
   other.restore(learner.state())
   assert other.network.std.tolist() == pytest.approx([0.1] * _A)
+
+
+def test_std_ceiling_falls_with_the_floor() -> None:
+  bounds: dict[str, Any] = {
+    'min_std': 0.1,
+    'initial_std': 0.4,
+    'final_min_std': 0.025,
+  }
+  config = config_lib.PPOConfig(**bounds, anneal_start=100, anneal_end=300)
+  found = [config.std_bounds(steps)[1] for steps in (0, 100, 200, 300, 1000)]
+  assert found == pytest.approx([0.4, 0.4, 0.2, 0.1, 0.1])
+  # Whoever begins below the floor stays on it.
+  low = config_lib.PPOConfig(min_std=0.3, initial_std=0.1)
+  assert low.std_bounds(7) == (0.3, 0.3)
+
+  learner = _learner(**bounds, anneal_start=_T * _B, anneal_end=3 * _T * _B)
+  learner.network.log_std.data.fill_(9.0)
+  rollouts = _rollouts(learner.network)
+  found = [learner.step(rollouts)['std'] for _ in range(4)]
+  assert found == pytest.approx([0.4, 0.2, 0.1, 0.1], rel=5e-3)
+
+
+def test_bounded_std_leaves_its_bounds_by_the_gradient() -> None:
+  learner = _learner(min_std=0.1, initial_std=0.4, entropy_coefficient=1.0)
+  learner.network.log_std.data.fill_(-9.0)
+  found = [learner.step(_rollouts(learner.network))['std'] for _ in range(2)]
+  assert 0.1 <= found[0] < found[1] < 0.4
+
+
+def test_bounds_of_the_learning_rate_fall_with_the_std() -> None:
+  learner = _learner(
+    learning_rate=1e-3,
+    min_learning_rate=1e-3,
+    target_kl=1e-12,
+    min_std=0.4,
+    final_min_std=0.1,
+    anneal_start=0,
+    anneal_end=2 * _T * _B,
+  )
+  rollouts = _rollouts(learner.network)
+  found = [learner.step(rollouts)['learning_rate'] for _ in range(3)]
+  # At a floor of 0.4 the least rate is 1e-3, at 0.2 half, at 0.1 a quarter.
+  assert found == pytest.approx([1e-3, 1e-3 / 1.2, 1e-3 / 1.44])
 
 
 @pytest.mark.parametrize(

@@ -88,7 +88,9 @@ class ActorCriticTest(parameterized.TestCase):
     self.assertNotAlmostEqual(one, -two, places=3)
 
   @parameterized.parameters(
-    ('elu', torch.nn.functional.elu), ('tanh', torch.tanh)
+    ('elu', torch.nn.functional.elu),
+    ('silu', torch.nn.functional.silu),
+    ('tanh', torch.tanh),
   )
   def test_activation(
     self, name: str, function: Callable[[torch.Tensor], torch.Tensor]
@@ -102,11 +104,12 @@ class ActorCriticTest(parameterized.TestCase):
       torch.testing.assert_close(perceptron(observation), expected)
 
   def test_std(self) -> None:
-    network = networks.ActorCritic(2, 3, (4,), initial_std=0.25, min_std=0.1)
+    network = networks.ActorCritic(2, 3, (4,), initial_std=0.25)
     torch.testing.assert_close(network.std, torch.full((3,), 0.25))
     with torch.no_grad():
       network.log_std.copy_(torch.log(torch.tensor([0.02, 0.1, 0.7])))
-    torch.testing.assert_close(network.std, torch.tensor([0.1, 0.1, 0.7]))
+    network.bound_std(0.1, 0.5)
+    torch.testing.assert_close(network.std, torch.tensor([0.1, 0.1, 0.5]))
 
 
 class PrivilegedTest(parameterized.TestCase):
