@@ -53,8 +53,8 @@ class ReferenceMotion:
     contacts: feet on the ground (1) or not (0), held until the next keyframe,
       shape [K, 2], or None where the mode leaves contacts free.
     step: the terrain that the mode needs, or None for level ground.
-    takeoff: phase before which the mode may not be switched away from once it
-      has begun.
+    takeoff: phase of the jump that the mode is about, or 0. Episodes do not
+      switch away from the mode before the touch-down that follows.
     mirror: name of the mode that this one becomes when left and right are
       exchanged; the mode itself by default.
     half_cycle_symmetric: whether the reference looks the same half a cycle
@@ -180,6 +180,13 @@ class ReferenceBank:
         self._contacts[i, :k] = motion.contacts
     self._landings = self._next_touch_downs()
     self._airborne = self.has_contacts[:, None] & ~self._contacts.any(axis=-1)
+    modes = np.arange(num)
+    left, _ = self._locate(modes, self.takeoffs)
+    self.touchdowns = np.where(
+      (self.takeoffs > 0) & self._airborne[modes, left],
+      self._landings[modes, left],
+      self.takeoffs,
+    )
     start = _rotation(self._orientations[:, :-1].reshape(-1, 4))
     end = _rotation(self._orientations[:, 1:].reshape(-1, 4))
     # Rotation vector from each keyframe to the next: slerp is its scaling.

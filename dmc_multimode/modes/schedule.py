@@ -72,15 +72,16 @@ def transitions(
 ) -> ModeSchedule:
   """The episodes of Algorithm 1: m_i until t_s, then m_f.
 
-  t_s is `clips + phases` clips of the initial mode; a transient mode is left
-  only after its take-off, for there is no turning back in mid-crouch.
+  t_s is `clips + phases` clips of the initial mode, but a mode with a take-off
+  is left only after it has landed: there is no turning back in mid-crouch, and
+  a motion that began in the air above an edge would begin on the wrong plane.
 
   Args:
     bank: the mode set.
     initial, final: mode indices, [B].
     clips, phases: clip_s and phi_s, [B].
   """
-  cycles = np.maximum(clips + phases, bank.takeoffs[initial])
+  cycles = np.maximum(clips + phases, bank.touchdowns[initial])
   switch = cycles * bank.durations[initial]
   modes = np.stack([initial, final], axis=1).astype(np.int64)
   starts = np.stack([np.zeros(len(switch)), switch], axis=1)

@@ -194,6 +194,20 @@ class ReferenceBankTest(parameterized.TestCase):
     np.testing.assert_allclose(velocity[:, 2], expected, rtol=1e-6)
     np.testing.assert_array_equal(velocity[:, :2], 0.0)
 
+  @parameterized.parameters(
+    (0.25, [[1, 1], [0, 0], [1, 1]], 1.0),  # Up at 0.25, down at the end.
+    (0.5, [[1, 1], [0, 0], [0, 1]], 1.0),
+    (0.1, [[1, 1], [0, 0], [1, 1]], 0.1),  # Still on the ground there.
+    (0.25, None, 0.25),  # Nobody knows.
+    (0.0, [[0, 0], [0, 0], [1, 1]], 0.0),  # Not a jump.
+  )
+  def test_touch_down_after_the_take_off(
+    self, takeoff: float, contacts: list[list[int]] | None, expected: float
+  ) -> None:
+    motion = _motion(takeoff=takeoff, contacts=contacts)
+    bank = reference.ReferenceBank([motion])
+    np.testing.assert_array_equal(bank.touchdowns, [expected])
+
   def test_flight_past_the_last_keyframe_ends_with_the_cycle(self) -> None:
     motion = _motion(contacts=[[1, 0], [0, 0], [0, 0]])
     bank = reference.ReferenceBank([motion])

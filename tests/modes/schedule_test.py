@@ -69,8 +69,8 @@ class BuildersTest(parameterized.TestCase):
       phases=np.array([0.25, 0.5, 0.25, 0.25]),
     )
     np.testing.assert_array_equal(plan.modes[:, 1], [0, 2, 0, 1])
-    # Walk lasts 0.6 s; launch 1.1 s, and is not left before phase 0.42.
-    expected = [0.15, 0.9, 0.42 * 1.1, 1.25 * 1.1]
+    # Walk lasts 0.6 s; launch 1.1 s, and it lands at phase 0.82.
+    expected = [0.15, 0.9, 0.82 * 1.1, 1.25 * 1.1]
     np.testing.assert_allclose(plan.starts[:, 1], expected)
 
   def test_from_knots(self) -> None:

@@ -167,7 +167,7 @@ class CommandTest(parameterized.TestCase):
     self._run(tracker, 1)
     np.testing.assert_array_equal(tracker.commands(), [[0, 0, 1, 0]])
 
-  def test_launch_is_left_only_after_its_take_off(self) -> None:
+  def test_launch_is_left_only_after_its_touch_down(self) -> None:
     motions = library.resolve('pi2')
     bank = reference.ReferenceBank(motions)
     launch, count = bank.index('launch'), len(schedule.SWITCH_PHASES)
@@ -188,10 +188,9 @@ class CommandTest(parameterized.TestCase):
       ids, modes = tracker.due()
       left[ids] = tracker.state.phase[ids]
       tracker.command(ids, modes, np.zeros((len(ids), 3)), 0.0 * ids)
-    # To half a control step of the times asked for.
+    # To half a control step.
     half = 0.5 * 0.03 / bank.durations[launch] + 1e-9
-    self.assertTrue(np.all(left >= bank.takeoffs[launch] - half))
-    np.testing.assert_allclose(left, [0.42, 0.5, 0.75], atol=half)
+    np.testing.assert_allclose(left, [0.82] * count, atol=half)
 
 
 class UpcomingTest(parameterized.TestCase):
