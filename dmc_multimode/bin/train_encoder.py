@@ -11,12 +11,12 @@ import tempfile
 from typing import Sequence
 
 from absl import flags
-from matplotlib.backends import backend_agg
 import matplotlib.figure
 import numpy as np
 import tqdm
 
 from dmc_multimode.bin import app
+from dmc_multimode.bin import figures
 from dmc_multimode.modes import autoencoder
 from dmc_multimode.modes import encoder
 from dmc_multimode.modes import files
@@ -49,7 +49,7 @@ def main(argv: Sequence[str]) -> None:
   print(tables(trained))
   figure = draw(trained)
   trained.save(out)
-  figure.savefig(out / _FIGURE_FILE, dpi=120)
+  figures.save(out / _FIGURE_FILE, figure)
   for name in (encoder.WEIGHTS_FILE, encoder.CONFIG_FILE, _FIGURE_FILE):
     print(f'wrote {out / name}')
 
@@ -81,11 +81,7 @@ def draw(trained: encoder.ModeEncoder) -> matplotlib.figure.Figure:
   the centre, and the latents as bars at the bottom.
   """
   motions, book = trained.motions, trained.codebook()
-  figure = matplotlib.figure.Figure(
-    figsize=(2.2 * len(motions) + 1.2, 6), layout='constrained'
-  )
-  backend_agg.FigureCanvasAgg(figure)  # Draws without a screen.
-  axes = figure.subplots(3, len(motions), squeeze=False)
+  figure, axes = figures.empty(3, len(motions), 2.5, 2.0)
   for other in axes[:2].flat[1:]:  # One scale in metres for both rows.
     other.sharey(axes[0, 0])
   for other in axes[2, 1:]:

@@ -21,6 +21,7 @@ from dmc_multimode.suite import mini_biped
 from dmc_multimode.suite import mirror
 from dmc_multimode.suite import observations
 from dmc_multimode.suite import privileged as privileged_lib
+from dmc_multimode.suite import terminations
 
 
 class EpisodeResults(NamedTuple):
@@ -47,7 +48,7 @@ class BatchedTimeStep(NamedTuple):
   """One control step of B worlds.
 
   Attributes:
-    reward: [B].
+    reward: Eq. 3, and what `contact_bonus` adds to it, [B].
     discount: 0 where the episode terminated, 1 elsewhere (also at the time
       limit), [B]: the mask for bootstrapping.
     last: whether the episode ended, [B]: the mask for cutting.
@@ -176,7 +177,7 @@ class BatchedImitation:
     self._tighten()
     outcome = self.core.advance(self.qpos, self.qvel, self.feet_contact())
     if len(diverged):
-      outcome.cause[diverged] = 4
+      outcome.cause[diverged] = terminations.INVALID
       outcome.reward[diverged] = 0.0
     self.outcome = outcome
     self._returns += outcome.reward
@@ -189,6 +190,17 @@ class BatchedImitation:
     """Follows the schedule of the bound on the distance."""
     distance = self.config.distance_after(self._total_steps)
     self.core.limits = self.core.limits._replace(distance=distance)
+
+  def _bonus(self, outcome: imitation_core.Outcome) -> np.ndarray | float:
+    """What a training pays besides Eq. 3, [B]."""
+    weight = self.config.contact_bonus
+    if not weight:
+      return 0.0
+    sensitivity = self.config.gains.contact_sensitivity
+    agreement = np.exp(-sensitivity * outcome.errors.contact)
+    return np.where(
+      outcome.cause == terminations.INVALID, 0.0, weight * agreement
+    )
 
   def _assist(self) -> None:
     """Helps the robots whose references take off."""
@@ -227,7 +239,12 @@ class BatchedImitation:
       self._ended |= last
     discount = np.where(terminated, 0.0, 1.0)
     return BatchedTimeStep(
-      outcome.reward, discount, last, observation, final_observation, results
+      outcome.reward + self._bonus(outcome),
+      discount,
+      last,
+      observation,
+      final_observation,
+      results,
     )
 
   def _results(self, ids: np.ndarray, causes: np.ndarray) -> EpisodeResults:

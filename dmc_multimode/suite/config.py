@@ -26,6 +26,9 @@ class ImitationConfig:
     assist_steps: control steps of all worlds together over which help with
       take-offs fades, of those in which enough episodes survive, see
       `TakeoffAssistance`; 0 for no help.
+    contact_bonus: weight of a contact term like that of Eq. 3 that a training
+      adds to its reward, for feet that alternate where the reference's do; no
+      normalised return counts it.
     reference_starts: share of the episodes that start on the reference at a
       random phase, with the reference's velocity.
     edge_noise: half-width of the uniform noise on the distance to a step that
@@ -45,6 +48,7 @@ class ImitationConfig:
   control_timestep: float = 0.03
   physics_timestep: float = 0.005
   servo_inertia: bool = True
+  contact_bonus: float = 0.0
   reference_starts: float = 0.5
   edge_noise: float = 0.04
   joint_noise: float = 0.05
@@ -62,6 +66,10 @@ class ImitationConfig:
       raise ValueError(
         f'physics_timestep {self.physics_timestep} must divide '
         f'control_timestep {self.control_timestep}.'
+      )
+    if not (math.isfinite(self.contact_bonus) and self.contact_bonus >= 0):
+      raise ValueError(
+        f'contact_bonus must not be negative, got {self.contact_bonus}.'
       )
     if not 0 <= self.reference_starts <= 1:
       raise ValueError(
@@ -94,8 +102,8 @@ class ImitationConfig:
 def for_evaluation(config: ImitationConfig) -> ImitationConfig:
   """Returns the task without what only serves training.
 
-  Episodes start from rest, edges are in place, nobody helps, and the bound on
-  the distance is the final one.
+  Episodes start from rest, edges are in place, nobody helps, no bonus is paid,
+  and the bound on the distance is the final one.
   """
   return dataclasses.replace(
     config,
@@ -103,6 +111,7 @@ def for_evaluation(config: ImitationConfig) -> ImitationConfig:
     edge_noise=0.0,
     tighten_steps=0,
     assist_steps=0,
+    contact_bonus=0.0,
   )
 
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 CAUSES = ('none', 'lost', 'reward', 'fallen', 'invalid')  # By index.
+LOST, REWARD, FALLEN, INVALID = range(1, len(CAUSES))
 
 
 class TerminationLimits(NamedTuple):
@@ -45,8 +46,8 @@ def termination_cause(
   """
   cause = np.zeros(len(distance), dtype=np.int8)
   # The last assignment wins, so the most telling cause comes last.
-  cause[reward < limits.reward] = 2
-  cause[distance > limits.distance] = 1
-  cause[height < limits.height] = 3
-  cause[~finite] = 4
+  cause[reward < limits.reward] = REWARD
+  cause[distance > limits.distance] = LOST
+  cause[height < limits.height] = FALLEN
+  cause[~finite] = INVALID
   return cause

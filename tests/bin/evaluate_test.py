@@ -71,6 +71,24 @@ def test_report(
   assert report['task']['reference_starts'] == report['task']['edge_noise'] == 0
   for name in (*_MODES, *pairs):
     assert name in done.stdout
+  # An untrained policy keeps no promise but to stay where it is, if that.
+  behaviour = report['behaviour']
+  assert set(behaviour) == set(_MODES)
+  speed = behaviour['walk_forward']['speed']
+  assert (speed['least'], speed['most']) == pytest.approx((0.5, 0.7))
+  assert not speed['kept']  # It tumbles.
+  assert 'walk_forward: speed' in done.stdout
+
+
+def test_figures(
+  evaluate: processes.Binary, policy: pathlib.Path, tmp_path: pathlib.Path
+) -> None:
+  folder = tmp_path / 'new' / 'figures'
+  done = evaluate(f'--policy={policy}', '--episodes=1', f'--figures={folder}')
+  assert done.code == 0, done.stderr
+  assert done.stdout.splitlines()[-1] == f'The figures are in {folder}'
+  names = {path.name for path in folder.iterdir()}
+  assert names == {'heights.png', 'sequence.png'}
 
 
 def test_what_changes_the_figures(
@@ -108,6 +126,8 @@ def test_what_changes_the_figures(
     (['--seed=-1'], 'Seed'),
     (['--out={tmp}'], 'folder'),
     (['--out={tmp}/file/report.json'], 'file'),
+    (['--figures={tmp}/file'], 'file'),
+    (['--figures={tmp}/file/below'], 'file'),
     (['walk_forward'], "'walk_forward'"),
   ],
   ids=lambda value: value if isinstance(value, str) else ' '.join(value),

@@ -415,6 +415,23 @@ class SchedulesTest(parameterized.TestCase):
       self._step(worlds)
     self.assertEqual(worlds.assistance.share, share)
 
+  def test_bonus_on_contacts(self) -> None:
+    """It is paid on top of Eq. 3, and no return counts it."""
+    changes: dict[str, Any] = {'time_limit': 0.66}
+    worlds = self._worlds(contact_bonus=0.2, **changes)
+    alone = self._worlds(**changes)
+    bonuses = []
+    for _ in range(22):  # Past the take-off, where feet should be in the air.
+      step, other = self._step(worlds), self._step(alone)
+      bonuses.append(step.reward - other.reward)
+    np.testing.assert_array_equal(step.results.returns, other.results.returns)
+    self.assertLen(step.results.worlds, 8)
+    # Two feet down: as wanted at first, sqrt(2) off in the end.
+    np.testing.assert_allclose(bonuses[4], 0.2, rtol=1e-9)
+    np.testing.assert_allclose(
+      bonuses[-1], 0.2 * np.exp(-2.0 * np.sqrt(2)), rtol=1e-9
+    )
+
   def test_goes_on_where_it_was(self) -> None:
     limits = _ENDLESS.limits._replace(distance=1.0)
     changes: dict[str, Any] = {
@@ -445,9 +462,10 @@ class DivergenceTest(parameterized.TestCase):
 
   @parameterized.parameters('_poison_position', '_poison_velocity')
   def test_it_is_invalid(self, poison: str) -> None:
+    task = _transitions()
+    task.config = dataclasses.replace(task.config, contact_bonus=0.2)
     sick, healthy = (
-      batched.BatchedImitation(_transitions(), 5, 0, 2, privileged=True)
-      for _ in range(2)
+      batched.BatchedImitation(task, 5, 0, 2, privileged=True) for _ in range(2)
     )
     sick.reset()
     healthy.reset()

@@ -36,9 +36,11 @@ class ImitationConfigTest(parameterized.TestCase):
 
   def test_for_evaluation(self) -> None:
     values = config.for_evaluation(
-      config.ImitationConfig(time_limit=3.0, tighten_steps=100, assist_steps=9)
+      config.ImitationConfig(
+        time_limit=3.0, tighten_steps=100, assist_steps=9, contact_bonus=0.1
+      )
     )
-    self.assertEqual(values.assist_steps, 0)
+    self.assertEqual((values.assist_steps, values.contact_bonus), (0, 0.0))
     self.assertEqual(values.reference_starts, 0.0)
     self.assertEqual(values.edge_noise, 0.0)
     self.assertEqual(values.distance_after(0), values.limits.distance)

@@ -1,0 +1,127 @@
+"""The paper's figures of a policy: heights of the trunk over time."""
+
+import io
+import pathlib
+from typing import Any, Mapping, Sequence
+
+from matplotlib.backends import backend_agg
+import matplotlib.figure
+import numpy as np
+
+from dmc_multimode import atomic
+from dmc_multimode.modes import reference
+from dmc_multimode.modes import schedule as schedule_lib
+
+HEIGHTS_FILE, SEQUENCE_FILE = 'heights.png', 'sequence.png'
+
+# The paper's sequence of transitions, of what modes there are.
+_ORDER = ('walk_forward', 'launch', 'leap_forward', 'idle')
+_SECONDS = 2.4  # Of each mode in it; two cycles of a leap.
+_LABELS = {'reference': 'reference', 'position': 'robot'}
+
+
+def empty(
+  rows: int, columns: int, width: float, height: float
+) -> tuple[matplotlib.figure.Figure, Any]:
+  """Returns a figure that needs no screen, and its axes, [rows, columns].
+
+  Args:
+    rows, columns: of axes.
+    width, height: of each, inches.
+  """
+  result = matplotlib.figure.Figure(
+    figsize=(width * columns, height * rows), layout='constrained'
+  )
+  backend_agg.FigureCanvasAgg(result)
+  return result, result.subplots(rows, columns, squeeze=False)
+
+
+def save(path: pathlib.Path, drawn: matplotlib.figure.Figure) -> None:
+  """Writes a figure as PNG."""
+  content = io.BytesIO()
+  drawn.savefig(content, format='png', dpi=120)
+  path.parent.mkdir(parents=True, exist_ok=True)
+  atomic.write(path, content.getvalue())
+
+
+def heights(
+  names: Sequence[str],
+  measured: Mapping[str, np.ndarray],
+  lengths: np.ndarray,
+  timestep: float,
+) -> matplotlib.figure.Figure:
+  """Draws the trunk's height beside that of the reference, a mode an axis.
+
+  Args:
+    names: of the modes, one an episode, B.
+    measured: what `BatchedImitation.measure` returned, [T, B, ...].
+    lengths: control steps of the episodes, [B].
+    timestep: seconds of a control step.
+  """
+  drawn, axes = empty(1, len(names), 2.6, 2.6)
+  for i, (name, length) in enumerate(zip(names, lengths, strict=True)):
+    times = timestep * np.arange(1, length + 1)
+    for key, style in (('reference', 'C3--'), ('position', 'C0')):
+      height = measured[key][:length, i, 2]
+      axes[0, i].plot(times, height, style, label=_LABELS[key])
+    axes[0, i].set(title=name, xlabel='time (s)')
+    axes[0, i].sharey(axes[0, 0])
+  axes[0, 0].set_ylabel('height of the trunk (m)')
+  axes[0, 0].legend(fontsize='small')
+  return drawn
+
+
+def sequence(
+  bank: reference.ReferenceBank,
+) -> tuple[schedule_lib.ModeSchedule, float]:
+  """Returns a schedule through the paper's transitions, and its seconds.
+
+  Of a policy without at least two of their modes, through all that it has.
+  """
+  names = [name for name in _ORDER if name in bank.names]
+  if len(names) < 2:
+    names = list(bank.names)
+  motions = [bank.motions[bank.index(name)] for name in names]
+  durations = [
+    motion.duration if motion.kind == reference.TRANSIENT else _SECONDS
+    for motion in motions
+  ]
+  schedule = schedule_lib.from_names(bank, names, durations)
+  return schedule, sum(durations)
+
+
+def transitions(
+  bank: reference.ReferenceBank,
+  schedule: schedule_lib.ModeSchedule,
+  measured: Mapping[str, np.ndarray],
+  length: int,
+  timestep: float,
+) -> matplotlib.figure.Figure:
+  """Draws one world's height through a schedule, with the ground and commands.
+
+  Args:
+    bank: the modes.
+    schedule: of one world.
+    measured: what `BatchedImitation.measure` returned, [T, 1, ...].
+    length: control steps of the episode.
+    timestep: seconds of a control step.
+  """
+  drawn, ((axis,),) = empty(1, 1, 8.0, 3.0)
+  times = timestep * np.arange(1, length + 1)
+  ground = measured['support'][:length, 0]
+  axis.fill_between(times, ground, step='mid', color='0.85', label='ground')
+  for key, style in (('reference', 'C3--'), ('position', 'C0')):
+    axis.plot(times, measured[key][:length, 0, 2], style, label=_LABELS[key])
+  for mode, start in zip(schedule.modes[0], schedule.starts[0], strict=True):
+    axis.axvline(start, color='0.5', linewidth=0.8)
+    axis.annotate(
+      bank.names[mode],
+      (start, 1.0),
+      (2, 4),
+      xycoords=('data', 'axes fraction'),
+      textcoords='offset points',
+      fontsize='small',
+    )
+  axis.set(xlabel='time (s)', ylabel='height (m)', ylim=(0.0, None))
+  axis.legend(fontsize='small', loc='lower left')
+  return drawn

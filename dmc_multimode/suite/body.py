@@ -1,0 +1,166 @@
+"""What the body did in an episode: metrics of the trunk and of the feet."""
+
+from typing import Iterable, Mapping, NamedTuple
+
+import numpy as np
+
+_SETTLED = 1.0  # Seconds after which a gait is what it is.
+_STANCE_HEIGHT = 0.08  # Metres: how far off the trunk may be in a stance.
+_SAME_PLANE = 1e-3  # Metres.
+
+
+class Trace(NamedTuple):
+  """One episode of one mode, T control steps.
+
+  Attributes:
+    position: of the trunk, world metres, [T, 3].
+    reference: where it should be, likewise.
+    support: height of the plane under it, metres, [T].
+    contact: feet on the ground (left, right), 0 or 1, [T, 2].
+    timestep: seconds.
+    cycle: seconds of a cycle of the mode.
+  """
+
+  position: np.ndarray
+  reference: np.ndarray
+  support: np.ndarray
+  contact: np.ndarray
+  timestep: float
+  cycle: float
+
+  @property
+  def height(self) -> np.ndarray:
+    """Height of the trunk over its support, metres, [T]."""
+    return self.position[:, 2] - self.support
+
+  def cycles(self, values: np.ndarray) -> list[np.ndarray]:
+    """Cuts values [T, ...] into whole cycles; one part if there is none."""
+    length = max(round(self.cycle / self.timestep), 1)
+    whole = len(values) // length
+    return np.split(values[: whole * length], whole) if whole else [values]
+
+  def settled(self, values: np.ndarray) -> np.ndarray:
+    """Drops what came before the robot was in its gait; keeps two at least."""
+    return values[
+      min(round(_SETTLED / self.timestep), max(len(values) - 2, 0)) :
+    ]
+
+  def velocity(self, way: np.ndarray) -> np.ndarray:
+    """Mean velocity over positions [T, ...] when settled, m/s."""
+    way = self.settled(way)
+    return (way[-1] - way[0]) / (max(len(way) - 1, 1) * self.timestep)
+
+
+def traces(
+  measured: Mapping[str, np.ndarray],
+  lengths: Iterable[int],
+  timestep: float,
+  cycle: float,
+) -> list[Trace]:
+  """Cuts what `BatchedImitation.measure` returned into episodes.
+
+  Args:
+    measured: its values after every step, [T, B, ...].
+    lengths: control steps of each of the B episodes; only these count.
+    timestep: seconds of a control step.
+    cycle: seconds of a cycle of the mode.
+  """
+  return [
+    Trace(
+      position=measured['position'][:length, world],
+      reference=measured['reference'][:length, world],
+      support=measured['support'][:length, world],
+      contact=measured['contact'][:length, world],
+      timestep=timestep,
+      cycle=cycle,
+    )
+    for world, length in enumerate(lengths)
+  ]
+
+
+def metrics(trace: Trace) -> dict[str, float]:
+  """Returns everything by name.
+
+  velocity, lateral_velocity: of the trunk when settled, m/s;
+  reference_velocity: that of the reference; height: mean of the trunk over its
+  support, m; apex: highest in a cycle, mean over the cycles, m; rise, flight,
+  drift, alternation: see the functions of these names; single_support: share of
+  the time with just one foot on the ground; position_error: mean distance from
+  the reference, m; final_height: world height at the end, m.
+  """
+  velocity = trace.velocity(trace.position)
+  distances = np.linalg.norm(trace.position - trace.reference, axis=-1)
+  return {
+    'velocity': float(velocity[0]),
+    'lateral_velocity': float(velocity[1]),
+    'reference_velocity': float(trace.velocity(trace.reference)[0]),
+    'height': float(trace.height.mean()),
+    'apex': float(np.mean([h.max() for h in trace.cycles(trace.height)])),
+    'rise': rise(trace),
+    'flight': flight(trace),
+    'single_support': float((trace.contact.sum(axis=-1) == 1).mean()),
+    'alternation': alternation(trace),
+    'drift': drift(trace),
+    'position_error': float(distances.mean()),
+    'final_height': float(trace.position[-1, 2]),
+  }
+
+
+def drift(trace: Trace) -> float:
+  """Farthest that the trunk is from where it began, horizontally, metres."""
+  moved = trace.position[:, :2] - trace.position[0, :2]
+  return float(np.linalg.norm(moved, axis=1).max())
+
+
+def bob(trace: Trace) -> float:
+  """Farthest that the height is from its mean when settled, metres."""
+  height = trace.settled(trace.height)
+  return float(np.abs(height - height.mean()).max())
+
+
+def alternation(trace: Trace) -> float:
+  """Share of touch-downs of one foot alone that follow one of the other."""
+  contact = trace.settled(trace.contact).astype(bool)
+  down = contact[1:] & ~contact[:-1]
+  feet = down[down.any(axis=1)]
+  if len(feet) < 2:
+    return 0.0
+  alone = feet.sum(axis=1) == 1
+  other = (feet[1:] != feet[:-1]).all(axis=1)
+  return float((alone[1:] & alone[:-1] & other).mean())
+
+
+def rise(trace: Trace) -> float:
+  """Highest less lowest trunk in a cycle, mean over the cycles, metres."""
+  return float(np.mean([np.ptp(part) for part in trace.cycles(trace.height)]))
+
+
+def flight(trace: Trace) -> float:
+  """Longest time without contact in a cycle, mean over the cycles, seconds."""
+  airborne = [part.sum(axis=1) == 0 for part in trace.cycles(trace.contact)]
+  return (
+    float(np.mean([longest_run(part) for part in airborne])) * trace.timestep
+  )
+
+
+def stance(trace: Trace, step: float, height: float) -> float:
+  """Longest time on both feet at a place, seconds.
+
+  Args:
+    trace: an episode.
+    step: height of the place over that where it began, metres.
+    height: that the trunk should have over it, to 8 cm, metres.
+  """
+  climbed = trace.support - trace.support[0]
+  stands = (
+    (trace.contact.sum(axis=1) == 2)
+    & (np.abs(climbed - step) < _SAME_PLANE)
+    & (np.abs(trace.height - height) < _STANCE_HEIGHT)
+  )
+  return longest_run(stands) * trace.timestep
+
+
+def longest_run(flags: np.ndarray) -> int:
+  """Length of the longest run of True, [T] -> int."""
+  edges = np.flatnonzero(np.diff(flags.astype(int), prepend=0, append=0))
+  return int(np.max(edges[1::2] - edges[::2], initial=0))

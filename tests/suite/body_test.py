@@ -1,0 +1,137 @@
+"""Tests of dmc_multimode.suite.body."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dmc_multimode.suite import body
+
+_TIMESTEP = 0.1  # Seconds: ten steps a second.
+
+
+def _trace(cycle: float = 0.5, **fields: Any) -> body.Trace:
+  """Fields [T, ...]; those not given say that nothing happened."""
+  steps = len(next(iter(fields.values())))
+  still = {
+    'position': np.zeros((steps, 3)),
+    'reference': np.zeros((steps, 3)),
+    'support': np.zeros(steps),
+    'contact': np.ones((steps, 2)),
+  }
+  return body.Trace(**{**still, **fields}, timestep=_TIMESTEP, cycle=cycle)
+
+
+def _heights(*values: float) -> np.ndarray:
+  return np.outer(values, [0.0, 0.0, 1.0])
+
+
+def test_velocity_without_the_first_second() -> None:
+  time = _TIMESTEP * np.arange(31)
+  x = np.where(time < 1.0, 0.0, 0.6 * (time - 1.0))
+  position = np.stack([x, -0.5 * x, 0.5 + 0 * x], axis=1)
+  reference = np.stack([0.7 * time, 0 * time, 0 * time + 0.5], axis=1)
+  found = body.metrics(_trace(position=position, reference=reference))
+  assert found['velocity'] == pytest.approx(0.6)
+  assert found['lateral_velocity'] == pytest.approx(-0.3)
+  assert found['reference_velocity'] == pytest.approx(0.7)
+  assert found['drift'] == pytest.approx(np.hypot(1.2, 0.6))
+  assert found['final_height'] == 0.5
+  errors = np.linalg.norm(position - reference, axis=1)
+  assert found['position_error'] == pytest.approx(errors.mean())
+
+
+def test_drift_is_the_farthest() -> None:
+  x = np.array([1.0, 1.3, 0.9, 1.1])
+  position = np.stack([x, 0 * x, 9 * x], axis=1)
+  assert body.drift(_trace(position=position)) == pytest.approx(0.3)
+
+
+def test_heights_by_cycle() -> None:
+  # Two cycles of five steps, and two steps of a third that does not count.
+  z = [1.5, 1.4, 1.7, 1.6, 1.5, 1.5, 1.3, 1.8, 1.5, 1.5, 9.0, 1.5]
+  trace = _trace(position=_heights(*z), support=np.ones(12))
+  found = body.metrics(trace)
+  assert found['apex'] == pytest.approx((0.7 + 0.8) / 2)
+  assert found['rise'] == pytest.approx((0.3 + 0.5) / 2)
+  assert found['height'] == pytest.approx(np.mean(z) - 1.0)
+  assert found['final_height'] == 1.5
+
+
+def test_bob_is_without_the_first_second() -> None:
+  position = _heights(*[9.0] * 10, 0.5, 0.6, 0.4, 0.5, 0.5)
+  assert body.bob(_trace(position=position)) == pytest.approx(0.1)
+  # On a step as on the ground.
+  support = np.array([0.0] * 12 + [0.4] * 3)
+  raised = position + _heights(*support)
+  found = body.bob(_trace(position=raised, support=support))
+  assert found == pytest.approx(0.1)
+
+
+def test_flight_is_the_longest_time_without_any_foot() -> None:
+  left = [1, 0, 0, 1, 1, 0, 0, 0, 1, 0]
+  right = [1, 1, 0, 0, 1, 0, 0, 0, 1, 0]
+  found = body.metrics(_trace(contact=np.stack([left, right], axis=1)))
+  # One step in the first cycle; three, then another one, in the second.
+  assert found['flight'] == pytest.approx(_TIMESTEP * (1 + 3) / 2)
+  assert found['single_support'] == pytest.approx(2 / 10)
+
+
+@pytest.mark.parametrize(
+  ('left', 'right', 'expected'),
+  [
+    # Touch-downs in turns: 1 3 5 7 on the left, 2 4 6 8 on the right.
+    ([0, 1, 0, 1, 0, 1, 0, 1, 0], [1, 0, 1, 0, 1, 0, 1, 0, 1], 1.0),
+    ([0, 1, 0, 1, 0, 1, 0, 1, 0], [0, 1, 0, 1, 0, 1, 0, 1, 0], 0.0),
+    ([0, 1, 0, 1, 0, 1, 0, 1, 0], [1, 1, 1, 1, 1, 1, 1, 1, 1], 0.0),
+    # Left, right, both, right, left: two pairs of four.
+    ([0, 1, 1, 0, 1, 1, 1, 0, 1], [0, 0, 1, 0, 1, 0, 1, 1, 1], 0.5),
+    ([1, 1, 1, 1, 1, 1, 1, 1, 1], [1, 1, 1, 0, 0, 0, 0, 0, 1], 0.0),
+  ],
+)
+def test_alternation(
+  left: list[int], right: list[int], expected: float
+) -> None:
+  contact = np.stack([[1] * 10 + left, [1] * 10 + right], axis=1)
+  assert body.alternation(_trace(contact=contact)) == expected
+
+
+def test_stance_is_on_both_feet_on_the_step() -> None:
+  trace = _trace(
+    position=_heights(0.5, 0.9, 0.9, 0.9, 0.8, 0.9, 0.9, 0.9, 0.9),
+    support=np.array([0.0, 0.0, 0.4, 0.4, 0.4, 0.4, 0.4, 0.4, 0.4]),
+    contact=np.array([[1, 1]] * 6 + [[1, 0]] + [[1, 1]] * 2),
+  )
+  # Not over the ground, not at 0.1 m too low, not on one foot.
+  assert body.stance(trace, 0.4, 0.5) == pytest.approx(2 * _TIMESTEP)
+  assert body.stance(trace, 0.3, 0.5) == 0.0
+
+
+def test_what_follows_the_end_does_not_count() -> None:
+  measured = {
+    'position': np.zeros((30, 2, 3)),
+    'reference': np.zeros((30, 2, 3)),
+    'support': np.zeros((30, 2)),
+    'contact': np.ones((30, 2, 2)),
+  }
+  measured['position'][:, 0, 0] = np.arange(30)  # 10 m/s.
+  measured['position'][5:, 0] = np.nan
+  first, second = body.traces(measured, [5, 30], _TIMESTEP, 0.5)
+  # Ended before the first second: the velocity is that of the last step.
+  assert body.metrics(first)['velocity'] == pytest.approx(10.0)
+  assert body.metrics(first)['drift'] == pytest.approx(4.0)
+  assert len(second.position) == 30
+
+
+@pytest.mark.parametrize('length', [1, 2])
+def test_shortest_episodes(length: int) -> None:
+  trace = _trace(position=np.zeros((length, 3)))
+  assert np.isfinite(list(body.metrics(trace).values())).all()
+
+
+@pytest.mark.parametrize(
+  ('flags', 'expected'),
+  [([], 0), ([0, 0], 0), ([1, 1], 2), ([0, 1, 0, 1, 1, 1, 0, 1, 1], 3)],
+)
+def test_longest_run(flags: list[int], expected: int) -> None:
+  assert body.longest_run(np.array(flags, dtype=bool)) == expected
