@@ -15,11 +15,7 @@ overfits one of them makes of it. Scores are those of
 
 import contextlib
 import functools
-import importlib.metadata
-import json
-import os
 import pathlib
-import platform
 import sys
 import time
 from typing import Any, Mapping, NamedTuple, Sequence
@@ -31,8 +27,8 @@ import numpy as np
 import torch
 import tqdm
 
+from benchmarks import common
 from benchmarks import physics_variants as variants_lib
-from dmc_multimode import atomic
 from dmc_multimode import pretrained
 from dmc_multimode.agents import evaluation
 from dmc_multimode.arenas import track
@@ -48,10 +44,8 @@ from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite import observations
 
 # The code of `evaluate` is what judges; its command line is not ours.
-for _flag in list(flags.FLAGS.flags_by_module_dict()[evaluate.__name__]):
-  delattr(flags.FLAGS, _flag.name)
+common.drop_flags(evaluate)
 
-_CORES = len(os.sched_getaffinity(0))
 _POLICY = flags.DEFINE_string(
   'policy', 'quickstart', 'Name of a shipped policy, or a folder.'
 )
@@ -366,9 +360,6 @@ def _write(
   rows: Sequence[Row],
   config: config_lib.ImitationConfig,
 ) -> None:
-  if out is None:
-    return
-  packages = ('mujoco', 'dm_control', 'torch', 'numpy')
   report = {
     'benchmark': 'physics',
     'table': list(rows),
@@ -380,12 +371,8 @@ def _write(
     'episodes': _EPISODES.value,
     'seed': _SEED.value,
     'task': config_lib.to_dict(config),
-    'versions': {name: importlib.metadata.version(name) for name in packages},
-    'python': platform.python_version(),
-    'platform': platform.platform(),
-    'cores': _CORES,
   }
-  atomic.write(out, (json.dumps(report, indent=1) + '\n').encode())
+  common.write_report(out, report)
 
 
 def _chosen() -> dict[str, variants_lib.Variant]:
@@ -403,9 +390,7 @@ def _chosen() -> dict[str, variants_lib.Variant]:
 def main(argv: Sequence[str]) -> None:
   """Measures, evaluates, prints, writes."""
   del argv
-  out = pathlib.Path(_OUT.value) if _OUT.value else None
-  if out is not None and not out.parent.is_dir():
-    raise ValueError(f'--out: there is no folder {out.parent}.')
+  out = common.out_path(_OUT.value)
   variants, policy = _chosen(), pretrained.load(_POLICY.value)
   config = policy.config
   if _TIMESTEP.value is not None:
@@ -414,8 +399,8 @@ def main(argv: Sequence[str]) -> None:
   mujoco.set_mju_user_warning(lambda text: None)  # Some variants explode.
   print(
     f'{_POLICY.value} at {1e3 * config.physics_timestep:g} ms, '
-    f'{_NUM_WORLDS.value} worlds, {_THREADS.value} threads on {_CORES} cores, '
-    f'mujoco {mujoco.__version__}'
+    f'{_NUM_WORLDS.value} worlds, {_THREADS.value} threads on '
+    f'{common.CORES} cores, mujoco {mujoco.__version__}'
   )
   _print(compare(variants, policy, config, out))
 

@@ -5,17 +5,15 @@
 Everything is measured in turns, round after round, and compared with the raw
 physics of the same round: noise of the machine hits all alike. Raw physics
 steps the very states and controls that BatchedImitation steps right after it.
-All act at random around standing; PPO learns with its defaults.
+All act at random around standing, as a training begins; PPO learns with its
+defaults. With --policy=NAME, what is trained by then acts, explores and learns
+on, as most of a training goes; the Composer task is left out.
 """
 
 import contextlib
 import cProfile
 import functools
-import importlib.metadata
-import json
-import os
 import pathlib
-import platform
 import pstats
 import time
 from typing import Any, Callable, Mapping, Protocol, Sequence
@@ -25,26 +23,36 @@ from dm_control import composer
 import mujoco
 from mujoco import batch as mujoco_batch
 import numpy as np
+import torch
 import tqdm
 
+from benchmarks import common
 import dmc_multimode
-from dmc_multimode import atomic
 from dmc_multimode.agents import loggers
 from dmc_multimode.agents import training
+from dmc_multimode.agents.ppo import acting
 from dmc_multimode.bin import app
-from dmc_multimode.bin import config_flags
 from dmc_multimode.bin import run_setup
 from dmc_multimode.modes import library
+from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.suite import config as task_config
 from dmc_multimode.suite import multimode_biped
 
-_CORES = len(os.sched_getaffinity(0))
 _MODES = flags.DEFINE_string('modes', 'pi2', 'A mode set, or modes.')
 _NUM_WORLDS = flags.DEFINE_integer(
-  'num_worlds', 512, 'Worlds that are stepped together.', lower_bound=1
+  'num_worlds',
+  run_setup.RunConfig().num_worlds,
+  'Worlds that are stepped together.',
+  lower_bound=1,
 )
 _THREADS = flags.DEFINE_integer(
-  'threads', _CORES, 'Threads of physics and torch, processes of Gymnasium.', 1
+  'threads',
+  common.CORES,
+  'Threads of physics and torch, processes of Gymnasium.',
+  lower_bound=1,
+)
+_POLICY = flags.DEFINE_string(
+  'policy', None, 'A policy that acts, by name or folder; --modes must be its.'
 )
 _ROUNDS = flags.DEFINE_integer('rounds', 5, 'Medians are over these.', 1)
 _SECONDS = flags.DEFINE_float(
@@ -55,9 +63,7 @@ _OUT = flags.DEFINE_string('out', None, 'JSON file to write.')
 _PROFILE = flags.DEFINE_bool(
   'profile', False, 'Show where the time of BatchedImitation goes instead.'
 )
-_PARTS = ('ppo', 'sampling', 'task')
-for _part in _PARTS:
-  config_flags.define(getattr(run_setup.RunConfig(), _part), _part)
+common.define_run_flags()
 
 _ACTION_STD = 0.2  # Radians around the standing action.
 _BURN_IN = 50  # Control steps until episodes end at all times.
@@ -97,17 +103,25 @@ class _Worlds:
   """BatchedImitation, and its physics alone on the same states."""
 
   def __init__(self, config: run_setup.RunConfig):
-    self.environment = _build(config).environment
+    run = _build(config)
+    self.environment = run.environment
+    self._actor = acting.BatchedActor(run.network, config.seed)
     standing = self.environment.standing_action()
-    self.actions = _Actions(standing, config.seed)
+    self._actions = _Actions(standing, config.seed)
     self._ctrl = self.environment.batch.bind('ctrl')
-    self.environment.reset()
+    self._observation = self.environment.reset()
     for _ in range(_BURN_IN):
-      self.environment.step(self.draw())
+      self.step(self.draw())
 
   def draw(self) -> np.ndarray:
     """Returns actions for all worlds."""
-    return self.actions.draw(self.environment.num_worlds)
+    if _POLICY.value:
+      return self._actor.sample(torch.from_numpy(self._observation))[0].numpy()
+    return self._actions.draw(self.environment.num_worlds)
+
+  def step(self, actions: np.ndarray) -> None:
+    """Steps the environment."""
+    self._observation = self.environment.step(actions).observation
 
   def measure(self, seconds: float) -> dict[str, float]:
     """Steps raw, puts the states back, steps the environment; and so on."""
@@ -117,7 +131,7 @@ class _Worlds:
       self._ctrl[:] = actions
       spent[_RAW] += _time(self._step_raw)
       self.environment.batch.state[:] = rows
-      step = functools.partial(self.environment.step, actions)
+      step = functools.partial(self.step, actions)
       spent[_BATCHED] += _time(step)
       steps += self.environment.num_worlds
     return {name: steps / seconds for name, seconds in spent.items()}
@@ -224,8 +238,17 @@ def _rate(step: Callable[[], None], count: int, seconds: float) -> float:
 def _build(config: run_setup.RunConfig) -> run_setup.Run:
   motions = library.resolve(config.modes)
   names = tuple(motion.name for motion in motions)
-  codebook = multimode_biped.library_codebook().subset(names)
-  return run_setup.build(config, motions, codebook)
+  if not _POLICY.value:
+    codebook = multimode_biped.library_codebook().subset(names)
+    return run_setup.build(config, motions, codebook)
+  trained = policy_lib.load(_POLICY.value)
+  if trained.codebook.names != names:
+    raise ValueError(
+      f'--policy knows {trained.codebook.names}: pass them as --modes.'
+    )
+  run = run_setup.build(config, trained.motions, trained.codebook)
+  run.network.load_state_dict(trained.network.state_dict())
+  return run
 
 
 def _composer(
@@ -246,12 +269,12 @@ def compare(config: run_setup.RunConfig) -> list[Row]:
   with contextlib.ExitStack() as stack:
     worlds = _Worlds(config)
     standing = worlds.environment.standing_action()
-    contenders: list[Contender] = [
-      worlds,
-      _Composer(config, standing),
-      _Processes(config, standing),
-      _Training(config),
-    ]
+    contenders: list[Contender] = [worlds, _Training(config)]
+    if not _POLICY.value:
+      contenders[1:1] = [
+        _Composer(config, standing),
+        _Processes(config, standing),
+      ]
     for contender in contenders:
       stack.callback(contender.close)
     with tqdm.tqdm(total=_ROUNDS.value * len(contenders)) as bar:
@@ -279,9 +302,7 @@ def profile(config: run_setup.RunConfig) -> list[Row]:
   with tqdm.tqdm(total=round(_SECONDS.value, 2), unit='s') as bar:
     while spent < _SECONDS.value:
       actions = worlds.draw()
-      step = functools.partial(
-        profiler.runcall, worlds.environment.step, actions
-      )
+      step = functools.partial(profiler.runcall, worlds.step, actions)
       seconds = _time(step)
       bar.update(round(seconds, 3))
       spent += seconds
@@ -324,7 +345,8 @@ def _print_comparison(rows: list[Row]) -> None:
       f'{row["ratio_to_raw"]:9.3f}  {low:.3f} to {high:.3f}'
     )
   ratios = {row['name']: row['ratio_to_raw'] for row in rows}
-  print(f'{_BATCHED} to {_ASYNC}: {ratios[_BATCHED] / ratios[_ASYNC]:.1f}')
+  if _ASYNC in ratios:
+    print(f'{_BATCHED} to {_ASYNC}: {ratios[_BATCHED] / ratios[_ASYNC]:.1f}')
 
 
 def _print_profile(rows: list[Row]) -> None:
@@ -335,47 +357,34 @@ def _print_profile(rows: list[Row]) -> None:
 
 def _report(config: run_setup.RunConfig, rows: list[Row]) -> dict[str, Any]:
   """Returns what the JSON file holds."""
-  packages = ('mujoco', 'dm_control', 'torch', 'numpy', 'gymnasium')
   return {
     'benchmark': 'throughput',
     'table': rows,
+    'policy': _POLICY.value,
     'rounds': _ROUNDS.value,
     'seconds': _SECONDS.value,
     'seed': config.seed,
     'config': run_setup.to_dict(config),
-    'versions': {name: importlib.metadata.version(name) for name in packages},
-    'python': platform.python_version(),
-    'platform': platform.platform(),
-    'cores': _CORES,
   }
 
 
 def main(argv: Sequence[str]) -> None:
   """Measures, prints, writes."""
   del argv
-  out = pathlib.Path(_OUT.value) if _OUT.value else None
-  if out is not None and not out.parent.is_dir():
-    raise ValueError(f'--out: there is no folder {out.parent}.')
-  parts: dict[str, Any] = {
-    part: config_flags.read(getattr(run_setup.RunConfig(), part), part)
-    for part in _PARTS
-  }
-  config = run_setup.RunConfig(
+  out = common.out_path(_OUT.value)
+  config = common.run_config(
     modes=_MODES.value,
     seed=_SEED.value,
     num_worlds=_NUM_WORLDS.value,
     threads=_THREADS.value,
-    **parts,
   )
   print(
     f'{config.modes}, {config.num_worlds} worlds, {config.threads} threads on '
-    f'{_CORES} cores, mujoco {mujoco.__version__}'
+    f'{common.CORES} cores, mujoco {mujoco.__version__}'
   )
   rows = profile(config) if _PROFILE.value else compare(config)
   (_print_profile if _PROFILE.value else _print_comparison)(rows)
-  if out is not None:
-    text = json.dumps(_report(config, rows), indent=1) + '\n'
-    atomic.write(out, text.encode())
+  common.write_report(out, _report(config, rows), ['gymnasium'])
 
 
 def cli() -> None:

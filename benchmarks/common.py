@@ -1,0 +1,79 @@
+"""What all benchmarks share: a run's flags, the machine, the report."""
+
+import importlib.metadata
+import json
+import os
+import pathlib
+import platform
+import types
+from typing import Any, Mapping, Sequence
+
+from absl import flags
+
+from dmc_multimode import atomic
+from dmc_multimode.bin import config_flags
+from dmc_multimode.bin import run_setup
+
+CORES = len(os.sched_getaffinity(0))
+_PACKAGES = ('mujoco', 'dm_control', 'torch', 'numpy')
+_PARTS = ('ppo', 'sampling', 'task')
+
+
+def drop_flags(binary: types.ModuleType) -> None:
+  """Takes back the flags of a binary whose code, not command line, is used."""
+  for flag in list(flags.FLAGS.flags_by_module_dict()[binary.__name__]):
+    delattr(flags.FLAGS, flag.name)
+
+
+def define_run_flags() -> None:
+  """Defines flags for every field of the parts of a `RunConfig`."""
+  for part in _PARTS:
+    config_flags.define(getattr(run_setup.RunConfig(), part), part)
+
+
+def run_config(**values: Any) -> run_setup.RunConfig:
+  """Returns a run's configuration: its parts by their flags, and `values`."""
+  parts: dict[str, Any] = {
+    part: config_flags.read(getattr(run_setup.RunConfig(), part), part)
+    for part in _PARTS
+  }
+  return run_setup.RunConfig(**parts, **values)
+
+
+def out_path(value: str | None) -> pathlib.Path | None:
+  """Returns where --out says; raises ValueError if there is no such folder."""
+  out = pathlib.Path(value) if value else None
+  if out is not None and not out.parent.is_dir():
+    raise ValueError(f'--out: there is no folder {out.parent}.')
+  return out
+
+
+def write_report(
+  out: pathlib.Path | None,
+  report: Mapping[str, Any],
+  packages: Sequence[str] = (),
+) -> None:
+  """Writes a report as JSON, with what it was measured on; to None: nothing.
+
+  Args:
+    out: the file.
+    report: JSON-able values.
+    packages: whose versions matter, besides those that always do.
+  """
+  if out is None:
+    return
+  machine = {
+    'versions': {name: _version(name) for name in (*_PACKAGES, *packages)},
+    'python': platform.python_version(),
+    'platform': platform.platform(),
+    'cores': CORES,
+  }
+  text = json.dumps({**report, **machine}, indent=1) + '\n'
+  atomic.write(out, text.encode())
+
+
+def _version(package: str) -> str | None:
+  try:
+    return importlib.metadata.version(package)
+  except importlib.metadata.PackageNotFoundError:
+    return None
