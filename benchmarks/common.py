@@ -5,10 +5,7 @@ import json
 import os
 import pathlib
 import platform
-import types
 from typing import Any, Mapping, Sequence
-
-from absl import flags
 
 from dmc_multimode import atomic
 from dmc_multimode.bin import config_flags
@@ -17,12 +14,6 @@ from dmc_multimode.bin import run_setup
 CORES = len(os.sched_getaffinity(0))
 _PACKAGES = ('mujoco', 'dm_control', 'torch', 'numpy')
 _PARTS = ('ppo', 'sampling', 'task')
-
-
-def drop_flags(binary: types.ModuleType) -> None:
-  """Takes back the flags of a binary whose code, not command line, is used."""
-  for flag in list(flags.FLAGS.flags_by_module_dict()[binary.__name__]):
-    delattr(flags.FLAGS, flag.name)
 
 
 def define_run_flags() -> None:

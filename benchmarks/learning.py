@@ -17,7 +17,7 @@ import math
 import pathlib
 import sys
 import time
-from typing import Any, cast, Mapping, NamedTuple, Sequence
+from typing import Any, Mapping, NamedTuple, Sequence
 
 from absl import flags
 import mujoco
@@ -26,18 +26,14 @@ import tqdm
 
 from benchmarks import common
 from benchmarks import learners as learners_lib
-from dmc_multimode import pretrained
 from dmc_multimode.agents import evaluation
 from dmc_multimode.bin import app
-from dmc_multimode.bin import evaluate
 from dmc_multimode.bin import run_setup
+from dmc_multimode.bin import scoring
 from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import reference
 from dmc_multimode.suite import batched
 from dmc_multimode.suite import config as task_config
-
-# The code of `evaluate` is what judges; its command line is not ours.
-common.drop_flags(evaluate)
 
 _MODES = flags.DEFINE_string('modes', 'pi2', 'A mode set, or modes.')
 _NUM_WORLDS = flags.DEFINE_integer(
@@ -94,12 +90,11 @@ class Result(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class _Candidate:
-  """What `evaluate.Evaluator` asks of a policy."""
+  """What `scoring.Evaluator` asks of a policy."""
 
   motions: tuple[reference.ReferenceMotion, ...]
   codebook: codebook_lib.Codebook
   select_action: evaluation.SelectAction
-  provenance: Mapping[str, Any]
 
 
 def drive(learner: learners_lib.Learner) -> Lap:
@@ -123,14 +118,11 @@ def judge(
     learner.environment.motions,
     learner.environment.codebook,
     learner.select_action,
-    {},
   )
-  evaluator = evaluate.Evaluator(
-    cast(pretrained.Policy, candidate),
-    task_config.for_evaluation(config.task),
-    config.seed,
+  evaluator = scoring.Evaluator(
+    candidate, task_config.for_evaluation(config.task), config.seed
   )
-  return evaluate.report(evaluator, _EPISODES, clock_rate=1.0)
+  return scoring.report(evaluator, _EPISODES, clock_rate=1.0)
 
 
 def compare(

@@ -30,11 +30,10 @@ import tqdm
 from benchmarks import common
 from benchmarks import physics_variants as variants_lib
 from dmc_multimode import pretrained
-from dmc_multimode.agents import evaluation
 from dmc_multimode.arenas import track
 from dmc_multimode.bin import app
 from dmc_multimode.bin import config_flags
-from dmc_multimode.bin import evaluate
+from dmc_multimode.bin import scoring
 from dmc_multimode.modes import reference
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite import batched
@@ -42,9 +41,6 @@ from dmc_multimode.suite import config as config_lib
 from dmc_multimode.suite import episodes as episodes_lib
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite import observations
-
-# The code of `evaluate` is what judges; its command line is not ours.
-common.drop_flags(evaluate)
 
 _POLICY = flags.DEFINE_string(
   'policy', 'quickstart', 'Name of a shipped policy, or a folder.'
@@ -115,7 +111,7 @@ class _Worlds(batched.BatchedImitation):
   def __init__(
     self,
     variant: variants_lib.Variant,
-    policy: pretrained.Policy,
+    policy: scoring.Policy,
     episodes: episodes_lib.EpisodeInitialiser,
     config: config_lib.ImitationConfig,
     arena: str | track.Track,
@@ -166,7 +162,7 @@ class _Worlds(batched.BatchedImitation):
     )
 
 
-class _Evaluator(evaluate.Evaluator):
+class _Evaluator(scoring.Evaluator):
   """Evaluates on a variant of the physics."""
 
   def __init__(
@@ -175,14 +171,13 @@ class _Evaluator(evaluate.Evaluator):
     policy: pretrained.Policy,
     config: config_lib.ImitationConfig,
   ):
-    super().__init__(policy, config_lib.for_evaluation(config), _SEED.value)
+    super().__init__(
+      policy, config_lib.for_evaluation(config), _SEED.value, quiet=True
+    )
     self._variant = variant
 
-  def run(
-    self, schedule: schedule_lib.ModeSchedule, label: str
-  ) -> evaluation.Episodes:
-    del label  # One bar for all variants is enough.
-    worlds = _Worlds(
+  def make_worlds(self, schedule: schedule_lib.ModeSchedule) -> _Worlds:
+    return _Worlds(
       self._variant,
       self.policy,
       episodes_lib.ScheduledEpisodes(schedule),
@@ -191,7 +186,6 @@ class _Evaluator(evaluate.Evaluator):
       len(schedule),
       auto_reset=False,
     )
-    return evaluation.run_episodes(worlds, self.policy.select_action)
 
 
 class Course:
@@ -294,7 +288,7 @@ def score(
 ) -> Row:
   """Returns the scores of `evaluate` on a variant of the physics."""
   evaluator = _Evaluator(variant, policy, config)
-  report = evaluate.report(evaluator, _EPISODES.value, clock_rate=1.0)
+  report = scoring.report(evaluator, _EPISODES.value, clock_rate=1.0)
   kinds = ('modes', 'transitions')
   return {
     **{f'mra_{kind}': report[f'mra_{kind}']['mean'] for kind in kinds},

@@ -12,6 +12,7 @@ from typing import Any, Callable, Mapping
 
 import mujoco
 
+from dmc_multimode.suite import batched
 from dmc_multimode.suite import config as config_lib
 from dmc_multimode.suite import imitation
 from dmc_multimode.suite import mini_biped
@@ -182,13 +183,7 @@ def _with_visuals(
 ) -> mujoco.MjModel:
   """Returns the model with visual geoms, sites, cameras and lights."""
   del model
-  root = task.root_entity.mjcf_model
-  spec = mujoco.MjSpec.from_string(root.to_xml_string(), root.get_assets())
-  kept = {sensor.full_identifier for sensor in task.walker.foot_sensors}
-  for sensor in list(spec.sensors):
-    if sensor.name not in kept:
-      spec.delete(sensor)
-  return spec.compile()
+  return batched.make_spec(task).compile()
 
 
 def _drop_friction(task: imitation.Imitation) -> None:

@@ -22,13 +22,11 @@ import tqdm
 from benchmarks import common
 from benchmarks import robustness_cases as cases_lib
 from dmc_multimode import pretrained
-from dmc_multimode.agents import evaluation
 from dmc_multimode.bin import app
-from dmc_multimode.bin import evaluate
+from dmc_multimode.bin import scoring
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite import config as config_lib
 
-common.drop_flags(evaluate)
 _POLICY = flags.DEFINE_string(
   'policy', 'quickstart', 'Name of a shipped policy, or a folder.'
 )
@@ -42,7 +40,7 @@ _OUT = flags.DEFINE_string('out', None, 'JSON file to write.')
 Row = dict[str, Any]
 
 
-class Evaluator(evaluate.Evaluator):
+class Evaluator(scoring.Evaluator):
   """Evaluates in a `Case`."""
 
   def __init__(
@@ -54,18 +52,16 @@ class Evaluator(evaluate.Evaluator):
       config = dataclasses.replace(
         config, physics_timestep=case.physics_timestep
       )
-    super().__init__(policy, config, seed)
+    super().__init__(policy, config, seed, quiet=True)
     self._case = case
 
-  def run(
-    self, schedule: schedule_lib.ModeSchedule, label: str
-  ) -> evaluation.Episodes:
-    """Runs one episode of each row of `schedule`."""
-    del label  # One bar for all cases is enough.
-    worlds = cases_lib.Worlds(
+  def make_worlds(
+    self, schedule: schedule_lib.ModeSchedule
+  ) -> cases_lib.Worlds:
+    """Returns a world of the case for each row of `schedule`."""
+    return cases_lib.Worlds(
       self._case, self.policy, schedule, self.config, self.seed
     )
-    return evaluation.run_episodes(worlds, self.policy.select_action)
 
 
 def judge(
@@ -73,10 +69,10 @@ def judge(
 ) -> Row:
   """Returns the scores of `policy` in a case."""
   evaluator = Evaluator(cases_lib.CASES[name], policy, seed)
-  modes = evaluate.evaluate_modes(
-    evaluator, evaluate.MODE_FACTOR * episodes, clock_rate=1.0
+  modes = scoring.evaluate_modes(
+    evaluator, scoring.MODE_FACTOR * episodes, clock_rate=1.0
   )
-  transitions = evaluate.evaluate_transitions(evaluator, episodes)
+  transitions = scoring.evaluate_transitions(evaluator, episodes)
   row: Row = {'name': name}
   for kind, found in (('modes', modes), ('transitions', transitions)):
     for key in ('mra', 'survival'):

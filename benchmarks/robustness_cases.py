@@ -6,7 +6,7 @@ from typing import Mapping
 import mujoco
 import numpy as np
 
-from dmc_multimode import pretrained
+from dmc_multimode.bin import scoring
 from dmc_multimode.modes import reference
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite import batched
@@ -57,7 +57,7 @@ class Worlds(batched.BatchedImitation):
   def __init__(
     self,
     case: Case,
-    policy: pretrained.Policy,
+    policy: scoring.Policy,
     schedule: schedule_lib.ModeSchedule,
     config: config_lib.ImitationConfig,
     seed: int,

@@ -15,6 +15,7 @@ from absl import flags
 
 from dmc_multimode.bin import app
 from dmc_multimode.bin import figures
+from dmc_multimode.bin import outputs
 from dmc_multimode.bin import training_figures
 
 _RUN = flags.DEFINE_multi_string(
@@ -42,9 +43,9 @@ def _groups(items: Sequence[str]) -> dict[str, list[training_figures.Curves]]:
 def main(argv: Sequence[str]) -> None:
   """Reads and draws."""
   del argv
-  out = pathlib.Path(_OUT.value)
-  if out.exists() and not out.is_dir():
-    raise NotADirectoryError(f'--out={out} is a file; name a folder.')
+  out = outputs.folder('out', _OUT.value)
+  if out is None:
+    raise ValueError('Say where to draw: --out=FOLDER.')
   groups = _groups(_RUN.value)
   drawn = {RETURNS_FILE: training_figures.draw_returns(groups)}
   for label, (first, *_) in groups.items():

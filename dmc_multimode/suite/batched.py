@@ -23,6 +23,8 @@ from dmc_multimode.suite import observations
 from dmc_multimode.suite import privileged as privileged_lib
 from dmc_multimode.suite import terminations
 
+_SOLE = np.array([0.0, 0.0, 0.01])  # Under the middle of a level foot, metres.
+
 
 class EpisodeResults(NamedTuple):
   """Episodes that ended in this step, N of them.
@@ -126,6 +128,8 @@ class BatchedImitation:
     self.qpos, self.qvel = self.batch.bind('qpos'), self.batch.bind('qvel')
     self._ctrl = self.batch.bind('ctrl')
     self._touch = self.batch.bind('sensordata')
+    self._site_xpos = self.batch.bind('site_xpos')
+    self._feet = model.sensor_objid[: len(mini_biped.SIDES)]
     self._boxes = [
       model.geom(geom.full_identifier).id for geom in self._arena.ground_geoms
     ]
@@ -196,11 +200,14 @@ class BatchedImitation:
     weight = self.config.contact_bonus
     if not weight:
       return 0.0
-    sensitivity = self.config.gains.contact_sensitivity
-    agreement = np.exp(-sensitivity * outcome.errors.contact)
+    agreement = self.core.footing(self._soles())
     return np.where(
       outcome.cause == terminations.INVALID, 0.0, weight * agreement
     )
+
+  def _soles(self) -> np.ndarray:
+    """World positions of the soles (left, right), metres, [B, 2, 3]."""
+    return self._site_xpos[:, self._feet] - _SOLE
 
   def _assist(self) -> None:
     """Helps the robots whose references take off."""
@@ -391,18 +398,24 @@ def _sub(state: Mapping[str, np.ndarray], prefix: str) -> dict[str, Any]:
   }
 
 
-def _compile(task: imitation.Imitation) -> mujoco.MjModel:
-  """Compiles the task's model with nothing in it that only eyes look at.
-
-  Visual geoms, cameras, lights and all sensors but those of the feet cost a
-  fifth of every physics step and change none.
-  """
+def make_spec(task: imitation.Imitation) -> mujoco.MjSpec:
+  """Returns the task's model with no sensors but those of the feet."""
   root = task.root_entity.mjcf_model
   spec = mujoco.MjSpec.from_string(root.to_xml_string(), root.get_assets())
   kept = {sensor.full_identifier for sensor in task.walker.foot_sensors}
   for sensor in list(spec.sensors):
     if sensor.name not in kept:
       spec.delete(sensor)
+  return spec
+
+
+def _compile(task: imitation.Imitation) -> mujoco.MjModel:
+  """Compiles the task's model with nothing in it that only eyes look at.
+
+  Visual geoms, cameras, lights and all sensors but those of the feet cost a
+  fifth of every physics step and change none.
+  """
+  spec = make_spec(task)
   sites = {sensor.objname for sensor in spec.sensors}
   unseen = [site for site in spec.sites if site.name not in sites]
   unseen += [geom for geom in spec.geoms if not geom.contype | geom.conaffinity]

@@ -119,8 +119,12 @@ def bob(trace: Trace) -> float:
 
 
 def alternation(trace: Trace) -> float:
-  """Share of touch-downs of one foot alone that follow one of the other."""
-  contact = trace.settled(trace.contact).astype(bool)
+  """Share of touch-downs of one foot alone that follow one of the other.
+
+  The majority of three steps says where a foot is: what bounces or taps for a
+  single step has neither taken off nor touched down.
+  """
+  contact = _majority(trace.settled(trace.contact).astype(bool))
   down = contact[1:] & ~contact[:-1]
   feet = down[down.any(axis=1)]
   if len(feet) < 2:
@@ -128,6 +132,13 @@ def alternation(trace: Trace) -> float:
   alone = feet.sum(axis=1) == 1
   other = (feet[1:] != feet[:-1]).all(axis=1)
   return float((alone[1:] & alone[:-1] & other).mean())
+
+
+def _majority(flags: np.ndarray) -> np.ndarray:
+  """What two of every three rows in a row say, [T, 2] -> [T - 2, 2]."""
+  if len(flags) < 3:
+    return flags
+  return flags[:-2].astype(int) + flags[1:-1] + flags[2:] >= 2
 
 
 def rise(trace: Trace) -> float:

@@ -26,9 +26,9 @@ class ImitationConfig:
     assist_steps: control steps of all worlds together over which help with
       take-offs fades, of those in which enough episodes survive, see
       `TakeoffAssistance`; 0 for no help.
-    contact_bonus: weight of a contact term like that of Eq. 3 that a training
-      adds to its reward, for feet that alternate where the reference's do; no
-      normalised return counts it.
+    contact_bonus: weight of what a training adds to its reward where feet stand
+      and swing as the reference's do, see `rewards.footing`; no normalised
+      return counts it.
     reference_starts: share of the episodes that start on the reference at a
       random phase, with the reference's velocity.
     edge_noise: half-width of the uniform noise on the distance to a step that

@@ -231,6 +231,21 @@ class ImitationCore:
       changed.append(ids[mine])
     return np.concatenate(changed) if changed else np.zeros(0, dtype=np.int64)
 
+  def footing(self, soles: np.ndarray) -> np.ndarray:
+    """How well the feet do what the reference's do, see `rewards`, [B].
+
+    Args:
+      soles: world positions of the soles (left, right), metres, [B, 2, 3].
+    """
+    reference = self.tracker.reference()
+    grounds = [self.support(soles[:, foot, 0]) for foot in range(2)]
+    return rewards.footing(
+      self.contact,
+      soles[:, :, 2] - np.stack(grounds, axis=1),
+      reference.contact,
+      reference.has_contact,
+    )
+
   def support(self, x: np.ndarray) -> np.ndarray:
     """Returns the height of the support plane under every world's x, [B]."""
     return terrain_lib.support_height(self.terrain, x)

@@ -4,6 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+_CLEARANCE = 0.05  # Metres: as high as a swinging foot needs to be.
+
 
 class RewardGains(NamedTuple):
   """Scaling gains w (Table I) and sensitivity gains k of Eq. 3."""
@@ -83,3 +85,27 @@ def reward_terms(
       gains.contact_weight, gains.contact_sensitivity, errors.contact
     ),
   }
+
+
+def footing(
+  contact: np.ndarray,
+  clearance: np.ndarray,
+  reference_contact: np.ndarray,
+  has_contact: np.ndarray,
+) -> np.ndarray:
+  """How well feet do what their reference's do, in [0, 1], [B].
+
+  Not part of Eq. 3, whose contact term is flat between a foot that stands and
+  one in the air: here a foot that should swing is the better, the higher it is,
+  up to 5 cm. One that should stand is right in contact; both count alike.
+
+  Args:
+    contact, reference_contact: feet on the ground (left, right), 0 or 1,
+      [B, 2].
+    clearance: of the soles over the ground below, metres, [B, 2].
+    has_contact: whether the reference prescribes contacts, [B]; elsewhere feet
+      are always right.
+  """
+  swing = np.clip(clearance / _CLEARANCE, 0.0, 1.0)
+  right = np.where(reference_contact > 0, contact, swing)
+  return np.where(has_contact, right.mean(axis=-1), 1.0)

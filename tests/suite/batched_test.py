@@ -415,7 +415,7 @@ class SchedulesTest(parameterized.TestCase):
       self._step(worlds)
     self.assertEqual(worlds.assistance.share, share)
 
-  def test_bonus_on_contacts(self) -> None:
+  def test_bonus_on_footing(self) -> None:
     """It is paid on top of Eq. 3, and no return counts it."""
     changes: dict[str, Any] = {'time_limit': 0.66}
     worlds = self._worlds(contact_bonus=0.2, **changes)
@@ -426,10 +426,29 @@ class SchedulesTest(parameterized.TestCase):
       bonuses.append(step.reward - other.reward)
     np.testing.assert_array_equal(step.results.returns, other.results.returns)
     self.assertLen(step.results.worlds, 8)
-    # Two feet down: as wanted at first, sqrt(2) off in the end.
+    # Two feet down: as wanted at first, as wrong as can be in the end.
     np.testing.assert_allclose(bonuses[4], 0.2, rtol=1e-9)
+    np.testing.assert_allclose(bonuses[-1], 0.0, atol=0.01)
+
+  @parameterized.parameters(0.02, 0.04, 0.2)
+  def test_bonus_on_swinging_feet(self, clearance: float) -> None:
+    """In flight it grows with the height of the soles, over a block too."""
+    worlds = self._worlds(contact_bonus=0.2)
+    worlds.core.tracker.state.phase[:] = 0.6
+    block = np.arange(8) % 2 == 1
+    worlds.qpos[:, 0] = np.where(block, 1.0, -0.5)
+    ground = worlds.core.support(worlds.qpos[:, 0])
+    np.testing.assert_allclose(ground, np.where(block, 0.4, 0.0))
+    # In the crouch at zero angles; what is asked for is a step from now.
+    fallen = -0.5 * 9.81 * (worlds.config.control_timestep) ** 2
+    worlds.qpos[:, 2] = ground + 0.5 + clearance - fallen
+    worlds.qpos[:, 3:] = [1.0] + [0.0] * 13
+    worlds.qvel[:] = 0.0
+    step = worlds.step(np.zeros((8, 10)))
+    assert worlds.outcome is not None
+    terms = sum(worlds.outcome.terms.values())
     np.testing.assert_allclose(
-      bonuses[-1], 0.2 * np.exp(-2.0 * np.sqrt(2)), rtol=1e-9
+      step.reward - terms, 0.2 * min(clearance / 0.05, 1.0), atol=0.01
     )
 
   def test_goes_on_where_it_was(self) -> None:

@@ -80,19 +80,21 @@ def test_flight_is_the_longest_time_without_any_foot() -> None:
 @pytest.mark.parametrize(
   ('left', 'right', 'expected'),
   [
-    # Touch-downs in turns: 1 3 5 7 on the left, 2 4 6 8 on the right.
-    ([0, 1, 0, 1, 0, 1, 0, 1, 0], [1, 0, 1, 0, 1, 0, 1, 0, 1], 1.0),
-    ([0, 1, 0, 1, 0, 1, 0, 1, 0], [0, 1, 0, 1, 0, 1, 0, 1, 0], 0.0),
-    ([0, 1, 0, 1, 0, 1, 0, 1, 0], [1, 1, 1, 1, 1, 1, 1, 1, 1], 0.0),
+    # Touch-downs in turns.
+    ('..##..##..##', '##..##..##..', 1.0),
+    ('..##..##..##', '..##..##..##', 0.0),
+    ('..##..##..##', '############', 0.0),
     # Left, right, both, right, left: two pairs of four.
-    ([0, 1, 1, 0, 1, 1, 1, 0, 1], [0, 0, 1, 0, 1, 0, 1, 1, 1], 0.5),
-    ([1, 1, 1, 1, 1, 1, 1, 1, 1], [1, 1, 1, 0, 0, 0, 0, 0, 1], 0.0),
+    ('..####..####..##', '....##..##..####', 0.5),
+    ('############', '####....####', 0.0),
+    # Taps and bounces of a single step are nothing.
+    ('####.####.##..', '########.######', 0.0),
+    ('...####...#...####.###', '######....#####....###', 1.0),
   ],
 )
-def test_alternation(
-  left: list[int], right: list[int], expected: float
-) -> None:
-  contact = np.stack([[1] * 10 + left, [1] * 10 + right], axis=1)
+def test_alternation(left: str, right: str, expected: float) -> None:
+  rows = zip(f'{"#" * 10}{left}', f'{"#" * 10}{right}', strict=False)
+  contact = np.array([[foot == '#' for foot in row] for row in rows])
   assert body.alternation(_trace(contact=contact)) == expected
 
 

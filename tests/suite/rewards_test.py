@@ -108,5 +108,37 @@ class RewardTermsTest(parameterized.TestCase):
     np.testing.assert_array_equal(orientation, before[1])
 
 
+class FootingTest(parameterized.TestCase):
+  @parameterized.parameters(
+    # Left stance: both down, as wanted, both up, the wrong foot up.
+    ((1.0, 0.0), (0.0, 0.0), (1.0, 0.0), 0.5),
+    ((1.0, 0.0), (0.0, 0.05), (1.0, 0.0), 1.0),
+    ((0.0, 0.0), (0.02, 0.02), (1.0, 0.0), 0.2),
+    ((0.0, 1.0), (0.07, 0.0), (1.0, 0.0), 0.0),
+    # Flight: by the height of each, within bounds.
+    ((0.0, 0.0), (0.01, 0.03), (0.0, 0.0), 0.4),
+    ((0.0, 0.0), (9.0, 9.0), (0.0, 0.0), 1.0),
+    ((0.0, 0.0), (-0.3, 0.05), (0.0, 0.0), 0.5),
+    # Both down.
+    ((1.0, 1.0), (0.0, 0.0), (1.0, 1.0), 1.0),
+    ((1.0, 0.0), (0.0, 0.2), (1.0, 1.0), 0.5),
+  )
+  def test_by_hand(
+    self,
+    contact: tuple[float, float],
+    clearance: tuple[float, float],
+    wanted: tuple[float, float],
+    expected: float,
+  ) -> None:
+    found = lambda prescribed: rewards.footing(
+      np.array([contact]),
+      np.array([clearance]),
+      np.array([wanted]),
+      np.array([prescribed]),
+    )
+    np.testing.assert_allclose(found(True), np.array([expected]))
+    np.testing.assert_array_equal(found(False), np.array([1.0]))
+
+
 if __name__ == '__main__':
   absltest.main()

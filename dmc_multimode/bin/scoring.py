@@ -1,0 +1,193 @@
+"""The scores of a policy: every mode, every transition, what modes promise."""
+
+import copy
+import dataclasses
+import itertools
+from typing import Any, Protocol
+
+import numpy as np
+import tqdm
+
+from dmc_multimode.agents import environment
+from dmc_multimode.agents import evaluation
+from dmc_multimode.modes import codebook as codebook_lib
+from dmc_multimode.modes import reference
+from dmc_multimode.modes import schedule as schedule_lib
+from dmc_multimode.suite import batched
+from dmc_multimode.suite import behaviour
+from dmc_multimode.suite import body
+from dmc_multimode.suite import config as config_lib
+from dmc_multimode.suite import episodes as episodes_lib
+from dmc_multimode.suite import multimode_biped
+
+MODE_FACTOR = 4  # Episodes of a mode for one of each transition.
+
+
+class Policy(Protocol):
+  """What is evaluated: what `pretrained.Policy` has, and others may have."""
+
+  @property
+  def motions(self) -> tuple[reference.ReferenceMotion, ...]:
+    """The modes that it knows."""
+
+  @property
+  def codebook(self) -> codebook_lib.Codebook:
+    """Their latents."""
+
+  def select_action(self, observation: np.ndarray) -> np.ndarray:
+    """Joint targets [B, 10] for observations [B, D], without exploration."""
+
+
+class Evaluator:
+  """Runs schedules of one policy, one episode a world."""
+
+  def __init__(
+    self,
+    policy: Policy,
+    config: config_lib.ImitationConfig,
+    seed: int,
+    quiet: bool = False,
+  ):
+    """Evaluates `policy` on the task of `config`, with progress bars or not."""
+    self.policy, self.config, self.seed = policy, config, seed
+    self._quiet = quiet
+    self.bank = reference.ReferenceBank(policy.motions)
+
+  def lasting(self, seconds: float) -> 'Evaluator':
+    """Returns one whose episodes are that long."""
+    other = copy.copy(self)
+    other.config = dataclasses.replace(self.config, time_limit=seconds)
+    return other
+
+  def traces(
+    self, episodes: evaluation.Episodes, cycle: float
+  ) -> list[body.Trace]:
+    """Returns what the body did in episodes of a mode with that cycle, s."""
+    return body.traces(
+      episodes.traces, episodes.lengths, self.config.control_timestep, cycle
+    )
+
+  def make_worlds(
+    self, schedule: schedule_lib.ModeSchedule
+  ) -> environment.MeasuredEnvironment:
+    """Returns a world for each row of `schedule`, none of which begins anew."""
+    task = multimode_biped.make_task(
+      self.policy.motions,
+      self.policy.codebook,
+      episodes_lib.ScheduledEpisodes(schedule),
+      config=self.config,
+    )
+    return batched.BatchedImitation(
+      task, len(schedule), self.seed, auto_reset=False
+    )
+
+  def run(
+    self, schedule: schedule_lib.ModeSchedule, label: str
+  ) -> evaluation.Episodes:
+    """Runs one episode of each row of `schedule`."""
+    worlds = self.make_worlds(schedule)
+    with tqdm.tqdm(
+      total=self.config.horizon, desc=label, unit='step', disable=self._quiet
+    ) as bar:
+      return evaluation.run_episodes(
+        worlds, self.policy.select_action, bar.update
+      )
+
+
+def evaluate_modes(
+  evaluator: Evaluator, episodes: int, clock_rate: float
+) -> dict[str, dict[str, float]]:
+  """Every mode alone: its MRA, survival and what the body did."""
+  bank = evaluator.bank
+  modes = np.repeat(np.arange(len(bank)), episodes)
+  found = evaluator.run(schedule_lib.single(modes, clock_rate), 'modes')
+  result = {}
+  for i, name in enumerate(bank.names):
+    mine = found.rows(np.flatnonzero(modes == i))
+    traces = evaluator.traces(mine, bank.durations[i] / clock_rate)
+    rows = [body.metrics(trace) for trace in traces]
+    result[name] = {
+      'mra': float(mine.returns.mean()),
+      'survival': float(mine.survived.mean()),
+      **{key: float(np.mean([row[key] for row in rows])) for key in rows[0]},
+    }
+  return result
+
+
+def evaluate_behaviour(
+  evaluator: Evaluator, episodes: int
+) -> dict[str, dict[str, dict[str, Any]]]:
+  """What every mode promises, and how it is kept: see `suite.behaviour`."""
+  bank = evaluator.bank
+  longer = evaluator.lasting(behaviour.DURATION)
+  modes = np.repeat(np.arange(len(bank)), episodes)
+  found = longer.run(schedule_lib.single(modes), 'behaviour')
+  result = {}
+  for i, motion in enumerate(bank.motions):
+    mine = found.rows(np.flatnonzero(modes == i))
+    traces = longer.traces(mine, motion.duration)
+    result[motion.name] = {
+      verdict.metric: {
+        'value': verdict.value,
+        'worst': verdict.worst,
+        'least': verdict.least if np.isfinite(verdict.least) else None,
+        'most': verdict.most if np.isfinite(verdict.most) else None,
+        'kept': verdict.kept,
+      }
+      for verdict in behaviour.judge(motion, traces)
+    }
+  return result
+
+
+def evaluate_transitions(
+  evaluator: Evaluator, episodes: int
+) -> dict[str, dict[str, float]]:
+  """All n x n transitions, at every switch phase and clip of Algorithm 1."""
+  bank = evaluator.bank
+  n = len(bank)
+  cases = np.array(
+    list(
+      itertools.product(
+        range(n),
+        range(n),
+        schedule_lib.CLIPS,
+        schedule_lib.SWITCH_PHASES,
+        range(episodes),
+      )
+    )
+  )
+  initial, final = cases[:, 0].astype(int), cases[:, 1].astype(int)
+  found = evaluator.run(
+    schedule_lib.transitions(bank, initial, final, cases[:, 2], cases[:, 3]),
+    'transitions',
+  )
+  result = {}
+  for i, f in itertools.product(range(n), range(n)):
+    mine = found.rows(np.flatnonzero((initial == i) & (final == f)))
+    result[f'{bank.names[i]}->{bank.names[f]}'] = {
+      'mra': float(mine.returns.mean()),
+      'survival': float(mine.survived.mean()),
+    }
+  return result
+
+
+def report(
+  evaluator: Evaluator, episodes: int, clock_rate: float
+) -> dict[str, Any]:
+  """Returns the whole report as JSON-able values."""
+  modes = evaluate_modes(evaluator, MODE_FACTOR * episodes, clock_rate)
+  transitions = evaluate_transitions(evaluator, episodes)
+  gather = lambda rows, key: np.array([row[key] for row in rows.values()])
+  return {
+    'mra_modes': evaluation.summary(gather(modes, 'mra')),
+    'mra_transitions': evaluation.summary(gather(transitions, 'mra')),
+    'survival_modes': float(gather(modes, 'survival').mean()),
+    'survival_transitions': float(gather(transitions, 'survival').mean()),
+    'modes': modes,
+    'behaviour': evaluate_behaviour(evaluator, MODE_FACTOR * episodes),
+    'transitions': transitions,
+    'seed': evaluator.seed,
+    'episodes_per_case': episodes,
+    'clock_rate': clock_rate,
+    'task': config_lib.to_dict(evaluator.config),
+  }
