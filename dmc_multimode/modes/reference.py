@@ -162,6 +162,8 @@ class ReferenceBank:
     self.takeoffs = np.array([m.takeoff for m in motions])
     self.has_contacts = np.array([m.contacts is not None for m in motions])
     self._stack_keyframes()
+    steps = self._contacts.sum(axis=-1) == 1
+    self.gaits = self.periodic & self.has_contacts & steps.any(axis=1)
 
   def _stack_keyframes(self) -> None:
     """Pads the keyframes to one table; a pad repeats the last keyframe."""
@@ -178,6 +180,7 @@ class ReferenceBank:
       self._orientations[i, :k] = motion.orientations
       if motion.contacts is not None:
         self._contacts[i, :k] = motion.contacts
+    self._spans = self._contact_spans()
     self._landings = self._next_touch_downs()
     self._airborne = self.has_contacts[:, None] & ~self._contacts.any(axis=-1)
     modes = np.arange(num)
@@ -310,6 +313,45 @@ class ReferenceBank:
       self._ballistic_velocity(modes, phases, self._landings[modes, left]),
       before + weight * (after - before),
     )
+
+  def steps(
+    self, modes: np.ndarray, phases: np.ndarray
+  ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where in a step of one foot the references are, at clock rate 1.
+
+    Args:
+      modes: mode indices, [B].
+      phases: phases in [0, 1], [B].
+
+    Returns:
+      Whether a foot (left, right) swings while the other stands, [B, 2]; the
+      time since the middle of that step, seconds, [B], and its length, [B].
+    """
+    left, _ = self._locate(modes, phases)
+    contact = self._contacts[modes, left]
+    single = self.has_contacts[modes] & (contact.sum(axis=1) == 1)
+    begin, end = self._spans[:, modes, left]
+    duration = self.durations[modes]
+    return (
+      single[:, None] & (contact == 0),
+      (phases - (begin + end) / 2) * duration,
+      (end - begin) * duration,
+    )
+
+  def _contact_spans(self) -> np.ndarray:
+    """Phases from and to which the contacts of keyframes last, [2, M, K]."""
+    num, width = self._phases.shape
+    phases = np.minimum(self._phases, 1.0)
+    spans = np.stack([phases, np.roll(phases, -1, axis=1)])
+    spans[1, :, -1] = 1.0
+    same = (self._contacts[:, 1:] == self._contacts[:, :-1]).all(axis=-1)
+    for i in range(1, width):
+      spans[0, :, i] = np.where(
+        same[:, i - 1], spans[0, :, i - 1], spans[0, :, i]
+      )
+      j = width - 1 - i
+      spans[1, :, j] = np.where(same[:, j], spans[1, :, j + 1], spans[1, :, j])
+    return spans
 
   def _ballistic_velocity(
     self, modes: np.ndarray, phases: np.ndarray, landings: np.ndarray

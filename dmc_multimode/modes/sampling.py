@@ -15,12 +15,18 @@ class SamplingConfig:
     gamma_initial: memory gamma_i of the modes' returns, in [0, 1).
     gamma_final: memory gamma_f of the transitions' returns, in [0, 1).
     epsilon: offset that keeps the best mode in the draw.
+    gait_steps: control steps of all worlds together for which gaits, modes that
+      step with one foot at a time, are drawn more often than Algorithm 1 would:
+      who learns to bound on both feet first walks so as well.
+    gait_share: how often, until then, a drawn mode is replaced by a gait.
   """
 
   adaptive: bool = True
   gamma_initial: float = 0.8
   gamma_final: float = 0.8
   epsilon: float = 0.2
+  gait_steps: int = 0
+  gait_share: float = 0.7
 
   def __post_init__(self) -> None:
     for name in ('gamma_initial', 'gamma_final'):
@@ -30,6 +36,12 @@ class SamplingConfig:
         )
     if not self.epsilon >= 0:
       raise ValueError(f'epsilon must not be negative, got {self.epsilon}.')
+    if self.gait_steps < 0:
+      raise ValueError(
+        f'gait_steps must not be negative, got {self.gait_steps}.'
+      )
+    if not 0 <= self.gait_share <= 1:
+      raise ValueError(f'gait_share must be in [0, 1], got {self.gait_share}.')
 
 
 def returns_to_probabilities(returns: np.ndarray, epsilon: float) -> np.ndarray:

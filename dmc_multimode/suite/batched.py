@@ -178,6 +178,7 @@ class BatchedImitation:
     diverged = self._advance_physics(actions)
     self._total_steps += self.num_worlds
     self.assistance.advance(self.num_worlds)
+    self.episodes.advance(self.num_worlds)
     self._tighten()
     outcome = self.core.advance(self.qpos, self.qvel, self.feet_contact())
     if len(diverged):

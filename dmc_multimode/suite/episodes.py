@@ -38,6 +38,9 @@ class EpisodeInitialiser(Protocol):
   ) -> None:
     """Takes the returns of finished episodes, [N] each."""
 
+  def advance(self, steps: int) -> None:
+    """Is told of so many control steps of all worlds together."""
+
   def probabilities(self) -> dict[str, float]:
     """Returns what it samples how often, for logs; may be empty."""
 
@@ -49,7 +52,10 @@ class EpisodeInitialiser(Protocol):
 
 
 class TransitionEpisodes:
-  """Algorithm 1: an initial mode, a switch at a phase, a final mode."""
+  """Algorithm 1: an initial mode, a switch at a phase, a final mode.
+
+  Gaits may be practised more at first: see `SamplingConfig`.
+  """
 
   max_knots = 2
 
@@ -59,16 +65,21 @@ class TransitionEpisodes:
     config: sampling.SamplingConfig | None = None,
   ):
     """Samples over the modes of `bank`."""
-    self._bank = bank
-    self.sampler = sampling.ModeSampler(
-      len(bank), config or sampling.SamplingConfig()
-    )
+    self._bank, self._config = bank, config or sampling.SamplingConfig()
+    self._gaits = np.flatnonzero(bank.gaits)
+    self._steps = 0
+    self.sampler = sampling.ModeSampler(len(bank), self._config)
 
   def sample(
     self, ids: np.ndarray, random_state: np.random.RandomState
   ) -> Episodes:
     """See `EpisodeInitialiser`."""
     initial, final = self.sampler.sample(len(ids), random_state)
+    if len(self._gaits) and self._steps < self._config.gait_steps:
+      shape = (2, len(ids))
+      swap = random_state.uniform(size=shape) < self._config.gait_share
+      gaits = random_state.choice(self._gaits, size=shape)
+      initial, final = np.where(swap, gaits, (initial, final))
     clips = random_state.choice(schedule_lib.CLIPS, size=len(ids))
     phases = random_state.choice(schedule_lib.SWITCH_PHASES, size=len(ids))
     schedule = schedule_lib.transitions(
@@ -82,8 +93,12 @@ class TransitionEpisodes:
     """See `EpisodeInitialiser`."""
     self.sampler.update(initial, final, returns)
 
+  def advance(self, steps: int) -> None:
+    """See `EpisodeInitialiser`."""
+    self._steps += steps
+
   def probabilities(self) -> dict[str, float]:
-    """Returns p_i by mode and p_f by transition."""
+    """Returns Algorithm 1's p_i by mode and p_f by transition."""
     names, result = self._bank.names, {}
     for i, p in enumerate(self.sampler.initial_probabilities):
       result[f'p/{names[i]}'] = float(p)
@@ -94,11 +109,12 @@ class TransitionEpisodes:
 
   def state(self) -> dict[str, np.ndarray]:
     """See `EpisodeInitialiser`."""
-    return self.sampler.state()
+    return {**self.sampler.state(), 'steps': np.array(self._steps)}
 
   def restore(self, state: Mapping[str, np.ndarray]) -> None:
     """See `EpisodeInitialiser`."""
     self.sampler.restore(state)
+    self._steps = int(state['steps'])
 
 
 class ScheduledEpisodes:
@@ -128,6 +144,9 @@ class ScheduledEpisodes:
     self, initial: np.ndarray, final: np.ndarray, returns: np.ndarray
   ) -> None:
     """Learns nothing."""
+
+  def advance(self, steps: int) -> None:
+    """Has no schedule of its own."""
 
   def probabilities(self) -> dict[str, float]:
     """Samples nothing."""

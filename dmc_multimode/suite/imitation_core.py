@@ -131,9 +131,19 @@ class ImitationCore:
     # In flight the legs are drawn up; even so they must clear a block below.
     lowest = np.where(airborne, legs.CROUCH_HEIGHT, legs.LOWEST)
     position[:, 2] = np.maximum(position[:, 2], clear + lowest)
-    angles, rates = legs.standing(
-      np.where(airborne, legs.CROUCH_HEIGHT, position[:, 2] - clear),
-      np.where(airborne, 0.0, velocity[:, 2]),
+    swinging, time, length = self.tracker.steps(ids)
+    swinging &= on_reference[:, None]
+    forward, lift, forward_rate, lift_rate = legs.stepping(
+      velocity[:, 0], swinging, time, length
+    )
+    velocity[:, 1] += pace * legs.sway(swinging, time, length)
+    height = np.where(airborne, legs.CROUCH_HEIGHT, position[:, 2] - clear)
+    climb = np.where(airborne, 0.0, velocity[:, 2])
+    angles, rates = legs.placing(
+      forward,
+      height[:, None] - lift,
+      forward_rate,
+      climb[:, None] - lift_rate,
     )
     joints = observations.NUM_JOINTS
     tilt = config.tilt_noise * random_state.standard_normal((count, 2))

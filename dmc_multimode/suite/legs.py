@@ -1,4 +1,4 @@
-"""Leg angles for a trunk height: planar inverse kinematics, no engine."""
+"""Where legs put the feet: planar inverse kinematics and sway, no engine."""
 
 import numpy as np
 
@@ -7,15 +7,15 @@ _CROUCH = np.deg2rad(54.0)  # Of the thigh from the vertical at zero angles.
 CROUCH_HEIGHT = 0.5  # Metres: of the trunk over the soles at zero angles.
 LOWEST, HIGHEST = 0.37, 0.67  # Metres: knees and reach set the bounds.
 _HIP_PITCH, _KNEE, _ANKLE = 2, 3, 4  # Of each leg's five joints.
+_HALF_WIDTH = 0.09  # Metres: of the feet from the trunk's middle.
+_GRAVITY = 9.81  # m/s^2
+_LIFT = 0.06  # Metres: of a swinging foot in the middle of a step.
 
 
 def standing(
   height: np.ndarray, climb: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
   """Joints that put flat soles under the hips of an upright trunk.
-
-  Thigh and calf are equally long, so that both lean by one angle a: the hip is
-  2 l cos(a) above the ankle.
 
   Args:
     height: of the trunk over the soles, metres, [N]; cut to what legs can do.
@@ -25,14 +25,98 @@ def standing(
     Joint angles, radians, and velocities, rad/s, that keep the soles where they
     are, [N, 10] each.
   """
-  reach = 2 * _LINK * np.cos(_CROUCH)
-  height = np.clip(height, LOWEST, HIGHEST)
-  cosine = (reach + height - CROUCH_HEIGHT) / (2 * _LINK)
-  lean = np.arccos(cosine)
-  rate = -climb / (2 * _LINK * np.sin(lean))
-  angles, velocities = np.zeros((2, len(height), 2, 5))
-  for values, a in ((angles, lean - _CROUCH), (velocities, rate)):
-    values[:, :, _HIP_PITCH] = a[:, None]
-    values[:, :, _KNEE] = -2 * a[:, None]
-    values[:, :, _ANKLE] = a[:, None]
-  return angles.reshape(-1, 10), velocities.reshape(-1, 10)
+  both = lambda values: np.repeat(values[:, None], 2, axis=1)
+  nothing = np.zeros((len(height), 2))
+  return placing(nothing, both(height), nothing, both(climb))
+
+
+def placing(
+  forward: np.ndarray,
+  height: np.ndarray,
+  forward_rate: np.ndarray,
+  height_rate: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+  """Joints that put each flat sole where it should be below an upright trunk.
+
+  Thigh and calf are equally long, so that both lean by one angle a from the
+  line between hip and ankle, which is 2 l cos(a) long.
+
+  Args:
+    forward: of the soles (left, right) from under their hips, metres, [N, 2].
+    height: of the trunk over the soles, metres, [N, 2]; cut to what legs can
+      do.
+    forward_rate, height_rate: how fast these change, m/s, [N, 2].
+
+  Returns:
+    Joint angles, radians, and velocities, rad/s, [N, 10] each.
+  """
+  shift = 2 * _LINK * np.cos(_CROUCH) - CROUCH_HEIGHT  # From trunk to hip.
+  down = np.clip(height, LOWEST, HIGHEST) + shift
+  length = np.hypot(forward, down)
+  longest = HIGHEST + shift
+  bend = np.arccos(np.minimum(length, longest) / (2 * _LINK))
+  swing = np.arctan2(forward, down)
+  stretch = (forward * forward_rate + down * height_rate) / length
+  bend_rate = -stretch / (2 * _LINK * np.sin(bend))
+  swing_rate = (down * forward_rate - forward * height_rate) / length**2
+  angles, rates = np.zeros((2, len(forward), 2, 5))
+  for values, a, b in (
+    (angles, bend - _CROUCH, swing),
+    (rates, bend_rate, swing_rate),
+  ):
+    values[:, :, _HIP_PITCH] = a - b
+    values[:, :, _KNEE] = -2 * a
+    values[:, :, _ANKLE] = a + b
+  return angles.reshape(-1, 10), rates.reshape(-1, 10)
+
+
+def stepping(
+  speed: np.ndarray,
+  swinging: np.ndarray,
+  time: np.ndarray,
+  length: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+  """Where the feet of a gait are, and how fast, in the middle of its stride.
+
+  The foot that stands is passed by the trunk half-way through the step, when
+  the other, which swings the same way forward, is highest.
+
+  Args:
+    speed: of the trunk, forward, m/s, [N].
+    swinging: whether a foot (left, right) is in the air, [N, 2]; one at most.
+    time: since the middle of the step, seconds, [N].
+    length: of the step, seconds, [N].
+
+  Returns:
+    How far the soles are forward of their hips and how high over the ground,
+    metres, and how fast these change, m/s, [N, 2] each; zero for the robots
+    none of whose feet swings.
+  """
+  steps = swinging.any(axis=1)
+  way = np.where(swinging, 1.0, -1.0) * (steps * speed)[:, None]
+  phase = (np.pi * time / length)[:, None]
+  lift = np.where(swinging, _LIFT * np.cos(phase), 0.0)
+  pace = (np.pi / length)[:, None]
+  lift_rate = np.where(swinging, -_LIFT * pace * np.sin(phase), 0.0)
+  return way * time[:, None], lift, way, lift_rate
+
+
+def sway(
+  swinging: np.ndarray, time: np.ndarray, length: np.ndarray
+) -> np.ndarray:
+  """Lateral velocity, to the left, that brings the trunk to the next step.
+
+  That of a linear inverted pendulum (Kajita et al. 2001) over the foot that
+  stands, which takes the trunk from the middle between the feet to that foot
+  and, by the end of the step, back again.
+
+  Args:
+    swinging, time, length: as for `stepping`.
+
+  Returns:
+    m/s, [N]; zero for the robots none of whose feet swings.
+  """
+  rate = np.sqrt(_GRAVITY / CROUCH_HEIGHT)
+  side = swinging[:, 1].astype(float) - swinging[:, 0]  # Left stance: 1.
+  scale = _HALF_WIDTH * rate / np.cosh(rate * length / 2)
+  return -side * scale * np.sinh(rate * time)

@@ -97,7 +97,8 @@ def footing(
 
   Not part of Eq. 3, whose contact term is flat between a foot that stands and
   one in the air: here a foot that should swing is the better, the higher it is,
-  up to 5 cm. One that should stand is right in contact; both count alike.
+  up to 5 cm. One that should stand is right in contact. The product of both
+  feet: a shuffle, which always has one of them right, is right in nothing.
 
   Args:
     contact, reference_contact: feet on the ground (left, right), 0 or 1,
@@ -108,4 +109,4 @@ def footing(
   """
   swing = np.clip(clearance / _CLEARANCE, 0.0, 1.0)
   right = np.where(reference_contact > 0, contact, swing)
-  return np.where(has_contact, right.mean(axis=-1), 1.0)
+  return np.where(has_contact, right.prod(axis=-1), 1.0)

@@ -230,6 +230,13 @@ class ModeTracker:
     local = self.bank.sample(state.mode[ids], state.phase[ids])
     return local.has_contact & ~local.contact.any(axis=1)
 
+  def steps(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where in a step the references of `ids` are: `ReferenceBank.steps`."""
+    state = self.state
+    rate = state.clock_rate[ids]
+    swinging, time, length = self.bank.steps(state.mode[ids], state.phase[ids])
+    return swinging, time / rate, length / rate
+
   def upcoming(
     self, ids: np.ndarray | slice = slice(None)
   ) -> tuple[np.ndarray, np.ndarray]:

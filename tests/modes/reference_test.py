@@ -222,6 +222,48 @@ class ReferenceBankTest(parameterized.TestCase):
     np.testing.assert_array_equal(sampled.has_contact, [False, True])
     np.testing.assert_array_equal(sampled.contact, [[0, 0], [1, 0]])
 
+  def test_steps_of_one_foot(self) -> None:
+    """Keyframes within a step do not cut it; flight and stance are no step."""
+    motion = _motion(
+      phases=[0.0, 0.1, 0.4, 0.5, 0.75, 1.0],
+      positions=np.zeros((6, 3)),
+      orientations=np.tile([1.0, 0.0, 0.0, 0.0], (6, 1)),
+      contacts=[[1, 0], [1, 0], [0, 0], [0, 1], [1, 1], [1, 1]],
+    )
+    bank = reference.ReferenceBank([_still(), motion])
+    phases = np.array([0.0, 0.05, 0.3, 0.45, 0.5, 0.6, 0.8, 0.3])
+    modes = np.array([1, 1, 1, 1, 1, 1, 1, 0])
+    swinging, time, length = bank.steps(modes, phases)
+    np.testing.assert_array_equal(
+      swinging,
+      np.array([[0, 0, 0, 0, 1, 1, 0, 0], [1, 1, 1, 0, 0, 0, 0, 0]], bool).T,
+    )
+    # From 0 to 0.4 and from 0.5 to 0.75 of 2 s.
+    moving = swinging.any(axis=1)
+    np.testing.assert_allclose(length[moving], [0.8, 0.8, 0.8, 0.5, 0.5])
+    np.testing.assert_allclose(time[moving], [-0.4, -0.3, 0.2, -0.25, -0.05])
+
+  def test_gaits(self) -> None:
+    """Periodic, and on one foot at times."""
+    in_sync = [[1, 1], [0, 0], [1, 1]]
+    motions = [
+      _motion(name='walk'),
+      _motion(name='jump', kind=reference.TRANSIENT),
+      _motion(name='hop', contacts=in_sync),
+      _motion(name='free', contacts=None),
+      _still(),
+    ]
+    bank = reference.ReferenceBank(motions)
+    np.testing.assert_array_equal(
+      bank.gaits, [True, False, False, False, False]
+    )
+
+  def test_a_step_up_to_the_end_of_the_cycle(self) -> None:
+    bank = reference.ReferenceBank([_motion(), _still()])
+    swinging, time, length = bank.steps(np.array([0]), np.array([0.9]))
+    np.testing.assert_array_equal(swinging, [[True, False]])
+    np.testing.assert_allclose((time[0], length[0]), (2 * (0.9 - 0.625), 1.5))
+
   def test_index(self) -> None:
     bank = reference.ReferenceBank([_motion(), _still()])
     self.assertLen(bank, 2)

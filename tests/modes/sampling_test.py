@@ -139,6 +139,9 @@ class ModeSamplerTest(parameterized.TestCase):
     ({'gamma_final': -0.1}, 'gamma_final'),
     ({'epsilon': -0.1}, 'epsilon'),
     ({'epsilon': float('nan')}, 'epsilon'),
+    ({'gait_steps': -1}, 'gait_steps'),
+    ({'gait_share': 1.1}, 'gait_share'),
+    ({'gait_share': float('nan')}, 'gait_share'),
   )
   def test_config_rejects(self, values: dict[str, float], message: str) -> None:
     with self.assertRaisesRegex(ValueError, message):

@@ -448,7 +448,7 @@ class SchedulesTest(parameterized.TestCase):
     assert worlds.outcome is not None
     terms = sum(worlds.outcome.terms.values())
     np.testing.assert_allclose(
-      step.reward - terms, 0.2 * min(clearance / 0.05, 1.0), atol=0.01
+      step.reward - terms, 0.2 * min(clearance / 0.05, 1.0) ** 2, atol=0.01
     )
 
   def test_goes_on_where_it_was(self) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from dmc_multimode.modes import library
 from dmc_multimode.modes import reference
+from dmc_multimode.modes import sampling
 from dmc_multimode.modes import schedule
 from dmc_multimode.suite import episodes
 
@@ -33,6 +34,42 @@ class TransitionEpisodesTest(parameterized.TestCase):
     self.assertEqual(set(np.round(cycles[~level], 6)), {0.82, 1.25, 1.5, 1.75})
     pairs = set(zip(drawn.initial, drawn.final, strict=True))
     self.assertLen(pairs, len(bank) ** 2)
+
+  def test_gaits_come_first(self) -> None:
+    """A walk in place of 7 of 10 modes, for as long as was asked for."""
+    bank = _bank()
+    walk = bank.index('walk_forward')
+    configs = [sampling.SamplingConfig(gait_steps=steps) for steps in (0, 1000)]
+    plain, first = (
+      episodes.TransitionEpisodes(bank, config) for config in configs
+    )
+    draw = lambda initialiser: initialiser.sample(
+      np.arange(4000), np.random.RandomState(0)
+    )
+    for _ in range(2):  # The second time, just before the end.
+      drawn = draw(first)
+      for modes in (drawn.initial, drawn.final):
+        self.assertAlmostEqual(
+          float(np.mean(modes == walk)), 0.7 + 0.3 / 4, delta=0.03
+        )
+      np.testing.assert_array_equal(drawn.schedule.modes[:, 0], drawn.initial)
+      np.testing.assert_array_equal(drawn.schedule.modes[:, 1], drawn.final)
+      first.advance(500 if first.state()['steps'] == 0 else 499)
+    # What is drawn by then does not depend on the share.
+    resumed = episodes.TransitionEpisodes(bank, configs[1])
+    resumed.restore(first.state())
+    resumed.advance(1)
+    first.advance(1)
+    for initialiser in (first, resumed):
+      np.testing.assert_array_equal(draw(initialiser).final, draw(plain).final)
+
+  def test_no_gait_to_come_first(self) -> None:
+    bank = reference.ReferenceBank(library.resolve('idle,hop_forward,launch'))
+    config = sampling.SamplingConfig(gait_steps=1000)
+    drawn = episodes.TransitionEpisodes(bank, config).sample(
+      np.arange(300), np.random.RandomState(0)
+    )
+    self.assertLen(np.unique(drawn.initial), 3)
 
   def test_one_seed_one_draw(self) -> None:
     initialiser = episodes.TransitionEpisodes(_bank())

@@ -120,23 +120,55 @@ class ReferenceStartTest(parameterized.TestCase):
     reach = (height >= legs.LOWEST) & (height <= legs.HIGHEST)
     return ~self.starts.tracker.airborne(every) & reach
 
+  def _standing_feet(self) -> np.ndarray:
+    """Which feet stand, [B, 2]."""
+    every = np.arange(len(self.starts.modes))
+    swinging, _, _ = self.starts.tracker.steps(every)
+    return self._within_reach()[:, None] & ~swinging
+
   def test_feet_stand_where_the_reference_stands(self) -> None:
-    stance = self._within_reach()
-    self.assertLen(np.unique(self.starts.modes[stance]), len(_MOTIONS))
-    # Both soles, flat, on the ground.
-    lowest = np.sort(self.starts.gaps[stance], axis=2)[:, :, :4]
+    stance = self._standing_feet()
+    standing = stance.any(axis=1)
+    self.assertLen(np.unique(self.starts.modes[standing]), len(_MOTIONS))
+    # The soles, flat, on the ground.
+    lowest = np.sort(self.starts.gaps[stance], axis=1)[:, :4]
     np.testing.assert_allclose(lowest, 0.0, atol=1e-3)
-    heights = self.starts.worlds.qpos[stance, 2]
+    heights = self.starts.worlds.qpos[standing, 2]
     self.assertGreater(np.ptp(heights), 0.1)  # Not all at the crouch.
 
   def test_standing_feet_do_not_rise_or_sink(self) -> None:
-    stance = self._within_reach()
+    stance = self._standing_feet()
     speeds = self.starts.speeds[stance]
-    np.testing.assert_allclose(speeds[..., 5], 0.0, atol=1e-4)  # Upwards.
-    np.testing.assert_allclose(speeds[..., :3], 0.0, atol=1e-4)  # Turning.
-    climbs = self.starts.worlds.qvel[stance, 2]
+    np.testing.assert_allclose(speeds[:, 5], 0.0, atol=1e-4)  # Upwards.
+    np.testing.assert_allclose(speeds[:, :3], 0.0, atol=1e-4)  # Turning.
+    climbs = self.starts.worlds.qvel[stance.all(axis=1), 2]
     self.assertGreater(climbs.max(), 0.5)
     self.assertLess(climbs.min(), -0.2)
+
+  def test_one_foot_swings_where_the_reference_s_does(self) -> None:
+    """Up to 6 cm high, and past the foot that stands as the trunk is."""
+    starts = self.starts
+    every = np.arange(len(starts.modes))
+    swinging, time, length = starts.tracker.steps(every)
+    walking = swinging.any(axis=1)
+    names = {_MOTIONS[mode].name for mode in starts.modes[walking]}
+    directions = ('forward', 'backward', 'left', 'right')
+    self.assertEqual(names, {f'walk_{d}' for d in directions})
+    np.testing.assert_array_equal(swinging.sum(axis=1), walking)
+    np.testing.assert_array_equal(
+      swinging, walking[:, None] & (starts.reference.contact == 0)
+    )
+    height = starts.gaps[swinging].min(axis=1)
+    expected = 0.06 * np.cos(np.pi * time / length)[walking]
+    np.testing.assert_allclose(height, expected, atol=1e-3)
+    self.assertGreater(height.max(), 0.05)
+    # The foot that stands is at rest along the way.
+    forward = starts.reference.position[:, 1] == 0
+    stance = ~swinging & (walking & forward)[:, None]
+    np.testing.assert_allclose(starts.speeds[stance][:, 3], 0.0, atol=1e-4)
+    flown = starts.speeds[swinging & forward[:, None]][:, 3]
+    trunk = starts.worlds.qvel[walking & forward, 0]
+    np.testing.assert_allclose(flown, 2 * trunk, atol=1e-4)
 
   def test_trunk_is_on_its_reference(self) -> None:
     """But where legs that are drawn up would be in the block."""
@@ -155,6 +187,9 @@ class ReferenceStartTest(parameterized.TestCase):
     every = np.arange(len(starts.modes))
     _, _, velocity = starts.tracker.start_pose(every)
     moved = starts.worlds.qvel[:, :3]
+    swinging, _, _ = starts.tracker.steps(every)
+    velocity = velocity[~swinging.any(axis=1)]  # The others sway.
+    moved = moved[~swinging.any(axis=1)]
     moving = np.linalg.norm(velocity, axis=1) > 0
     pace = np.sum(moved * velocity, axis=1)[moving]
     pace /= np.sum(velocity**2, axis=1)[moving]

@@ -113,5 +113,83 @@ class StandingTest(parameterized.TestCase):
     np.testing.assert_array_equal(heights, kept)
 
 
+class PlacingTest(parameterized.TestCase):
+  @parameterized.product(
+    forward=(-0.1, 0.0, 0.12), height=(0.42, 0.5, 0.58), rate=(-0.6, 0.0, 0.5)
+  )
+  def test_soles_are_where_they_should_be(
+    self, forward: float, height: float, rate: float
+  ) -> None:
+    """The left one; the right one stays under its hip, 5 cm higher."""
+    model, data = _model(), mujoco.MjData(_model())
+    row = lambda left, right: np.array([[left, right]])
+    angles, rates = legs.placing(
+      row(forward, 0.0),
+      row(height, height - 0.05),
+      row(rate, 0.0),
+      row(-0.3, 0.4),
+    )
+    data.qpos[2], data.qpos[7:], data.qvel[6:] = height, angles[0], rates[0]
+    mujoco.mj_forward(model, data)
+    crouch, velocity = _standing(legs.CROUCH_HEIGHT), np.zeros(6)
+    for side, x, z, moved in (
+      ('left', forward, 0.0, (rate, 0.0, 0.3)),
+      ('right', 0.0, 0.05, (0.0, 0.0, -0.4)),
+    ):
+      expected = _sole(crouch, side) + [x, 0.0, z]
+      np.testing.assert_allclose(_sole(data, side), expected, atol=1e-5)
+      foot = model.geom(f'walker/{side}_foot').id
+      mujoco.mj_objectVelocity(
+        model, data, mujoco.mjtObj.mjOBJ_GEOM, foot, velocity, 0
+      )
+      np.testing.assert_allclose(velocity[:3], np.zeros(3), atol=1e-5)
+      np.testing.assert_allclose(velocity[3:], moved, atol=1e-5)
+
+  def test_reach_is_cut_to_what_legs_can_do(self) -> None:
+    row = lambda value: np.full((1, 2), value)
+    far = legs.placing(row(0.4), row(0.6), row(0.2), row(0.2))
+    self.assertTrue(np.isfinite(far).all())
+
+
+class SteppingTest(parameterized.TestCase):
+  _LEFT = np.array([[True, False]])  # Swings.
+
+  def test_by_hand(self) -> None:
+    """A third of a step after its middle, at 0.6 m/s."""
+    length = 0.3
+    forward, lift, forward_rate, lift_rate = legs.stepping(
+      np.array([0.6]), self._LEFT, np.array([length / 3]), np.array([length])
+    )
+    np.testing.assert_allclose(forward, [[0.06, -0.06]])
+    np.testing.assert_allclose(lift, [[0.03, 0.0]])
+    np.testing.assert_allclose(forward_rate, [[0.6, -0.6]])
+    fall = -0.06 * np.pi / length * np.sin(np.pi / 3)
+    np.testing.assert_allclose(lift_rate, [[fall, 0.0]])
+
+  def test_nothing_where_no_foot_swings(self) -> None:
+    none, one = np.zeros((1, 2), dtype=bool), np.ones(1)
+    for values in legs.stepping(one, none, 0.1 * one, one):
+      np.testing.assert_array_equal(values, np.zeros((1, 2)))
+    np.testing.assert_array_equal(legs.sway(none, 0.1 * one, one), [0.0])
+
+  @parameterized.parameters(0.2, 0.3, 0.5)
+  def test_sway_leads_from_step_to_step(self, length: float) -> None:
+    """A pendulum over the standing foot is back in the middle in the end."""
+    for swinging, side in (self._LEFT, -1.0), (~self._LEFT, 1.0):
+      at = lambda time, swinging=swinging: float(
+        legs.sway(swinging, np.array([time]), np.array([length]))[0]
+      )
+      foot, y, v, dt = side * 0.09, 0.0, at(-length / 2), 1e-5
+      self.assertGreater(side * v, 0.1)
+      for i in range(round(length / dt)):
+        if i == round(length / dt / 2):
+          self.assertAlmostEqual(v, 0.0, places=3)
+          self.assertBetween(side * y, 0.0, 0.09)
+        v += dt * 9.81 / legs.CROUCH_HEIGHT * (y - foot)
+        y += dt * v
+      self.assertAlmostEqual(y, 0.0, places=3)
+      self.assertAlmostEqual(v, at(length / 2), places=3)
+
+
 if __name__ == '__main__':
   absltest.main()

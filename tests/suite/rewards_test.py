@@ -110,18 +110,19 @@ class RewardTermsTest(parameterized.TestCase):
 
 class FootingTest(parameterized.TestCase):
   @parameterized.parameters(
-    # Left stance: both down, as wanted, both up, the wrong foot up.
-    ((1.0, 0.0), (0.0, 0.0), (1.0, 0.0), 0.5),
+    # Left stance: both down, as wanted, lower, both up, the wrong foot up.
+    ((1.0, 0.0), (0.0, 0.0), (1.0, 0.0), 0.0),
     ((1.0, 0.0), (0.0, 0.05), (1.0, 0.0), 1.0),
-    ((0.0, 0.0), (0.02, 0.02), (1.0, 0.0), 0.2),
+    ((1.0, 0.0), (0.0, 0.02), (1.0, 0.0), 0.4),
+    ((0.0, 0.0), (0.02, 0.05), (1.0, 0.0), 0.0),
     ((0.0, 1.0), (0.07, 0.0), (1.0, 0.0), 0.0),
-    # Flight: by the height of each, within bounds.
-    ((0.0, 0.0), (0.01, 0.03), (0.0, 0.0), 0.4),
+    # Flight: by the height of both, within bounds.
+    ((0.0, 0.0), (0.01, 0.03), (0.0, 0.0), 0.12),
     ((0.0, 0.0), (9.0, 9.0), (0.0, 0.0), 1.0),
-    ((0.0, 0.0), (-0.3, 0.05), (0.0, 0.0), 0.5),
+    ((0.0, 0.0), (-0.3, 0.05), (0.0, 0.0), 0.0),
     # Both down.
     ((1.0, 1.0), (0.0, 0.0), (1.0, 1.0), 1.0),
-    ((1.0, 0.0), (0.0, 0.2), (1.0, 1.0), 0.5),
+    ((1.0, 0.0), (0.0, 0.2), (1.0, 1.0), 0.0),
   )
   def test_by_hand(
     self,
