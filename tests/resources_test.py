@@ -23,6 +23,14 @@ def test_the_robot_is_there() -> None:
   assert '<mujoco' in resources.path('xml', 'mini_biped.xml').read_text()
 
 
+def test_the_uniform_baseline_differs_in_sampling_alone() -> None:
+  adaptive, uniform = (
+    resources.path('flags', f'{name}.flags').read_text().splitlines()[1:]
+    for name in ('pi2', 'pi2_uniform')
+  )
+  assert uniform == [*adaptive, '--sampling_adaptive=false']
+
+
 @pytest.mark.parametrize(
   'name', ['no_such.xml', '', '../setup.cfg', '/etc/passwd']
 )

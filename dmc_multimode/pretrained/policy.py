@@ -99,11 +99,19 @@ class Policy:
     )
 
 
+def names() -> tuple[str, ...]:
+  """Returns the names of the shipped policies."""
+  is_policy = lambda name: (
+    resources.path('pretrained', name) / DESCRIPTION_FILE
+  ).is_file()
+  return tuple(filter(is_policy, resources.names('pretrained')))
+
+
 def load(policy: str | os.PathLike[str]) -> Policy:
   """Loads a policy by the name of a shipped one, or from a folder.
 
   Args:
-    policy: 'quickstart', a policy's folder, or a training run's folder.
+    policy: one of `names`, a policy's folder, or a training run's folder.
 
   Raises:
     FileNotFoundError: there is no such policy; the message lists those there

@@ -1,0 +1,67 @@
+"""The shipped policies still do what their metrics say."""
+
+import dataclasses
+
+from absl.testing import absltest
+from absl.testing import parameterized
+import numpy as np
+
+from dmc_multimode import pretrained
+from dmc_multimode.agents import evaluation
+from dmc_multimode.agents.ppo import acting
+from dmc_multimode.modes import schedule
+from dmc_multimode.suite import batched
+from dmc_multimode.suite import config as config_lib
+from dmc_multimode.suite import episodes
+from dmc_multimode.suite import multimode_biped
+
+_EPISODES = 4  # Of each mode.
+_MARGIN = 0.05  # Of the mean return, for so few episodes.
+
+
+class ShippedTest(parameterized.TestCase):
+  def test_names(self) -> None:
+    self.assertIn('quickstart', pretrained.names())
+    self.assertNotIn('library', pretrained.names())  # Latents alone.
+
+  @parameterized.parameters(*((name,) for name in pretrained.names()))
+  def test_modes_are_as_good_as_reported(self, name: str) -> None:
+    policy = pretrained.load(name)
+    modes = np.repeat(np.arange(len(policy.motions)), _EPISODES)
+    task = multimode_biped.make_task(
+      policy.motions,
+      policy.codebook,
+      episodes.ScheduledEpisodes(schedule.single(modes)),
+      config=config_lib.for_evaluation(policy.config),
+    )
+    worlds = batched.BatchedImitation(task, len(modes), 1, auto_reset=False)
+    found = evaluation.run_episodes(worlds, policy.select_action)
+    for i, motion in enumerate(policy.motions):
+      mine, reported = modes == i, policy.metrics['modes'][motion.name]
+      self.assertGreater(
+        found.returns[mine].mean(), reported['mra'] - _MARGIN, motion.name
+      )
+      if reported['survival'] == 1.0:
+        self.assertTrue(found.survived[mine].all(), motion.name)
+
+  @parameterized.parameters(*((name,) for name in pretrained.names()))
+  def test_it_walks_in_composer_too(self, name: str) -> None:
+    policy = pretrained.load(name)
+    names = [motion.name for motion in policy.motions]
+    walk = np.array([names.index('walk_forward')])
+    config = config_lib.for_evaluation(policy.config)
+    task = multimode_biped.make_task(
+      policy.motions,
+      policy.codebook,
+      episodes.ScheduledEpisodes(schedule.single(walk)),
+      config=dataclasses.replace(config, time_limit=3.0),
+    )
+    environment = multimode_biped.make_environment(task, random=0)
+    loop = acting.EnvironmentLoop(environment, policy.actor)
+    self.assertTrue(loop.run_episode()['survived'])
+    walked = environment.physics.data.qpos[0]
+    self.assertBetween(walked, 0.5 * 2.5, 0.7 * 3.0)
+
+
+if __name__ == '__main__':
+  absltest.main()
