@@ -23,8 +23,9 @@ class PPOConfig:
     clip: epsilon of the clipped surrogate objective.
     entropy_coefficient: weight of the entropy bonus.
     learning_rate: at the start.
-    target_kl: the learning rate falls when an update moves the policy by more
-      than twice this and rises when by less than half; 0 keeps it fixed.
+    target_kl: the learning rate falls when an iteration moves the policy by
+      more than twice this, KL divergence, median over the samples, and rises
+      when by less than half; 0 keeps it fixed.
     min_learning_rate, max_learning_rate: bounds of the adaptation; they fall
       with the floor of the standard deviation, in units of which the policy
       moves.
@@ -59,7 +60,7 @@ class PPOConfig:
   entropy_coefficient: float = 0.002
   learning_rate: float = 5e-4
   target_kl: float = 0.03
-  min_learning_rate: float = 5e-4
+  min_learning_rate: float = 1e-4
   max_learning_rate: float = 2e-3
   max_gradient_norm: float = 1.0
   initial_std: float = 0.2

@@ -230,6 +230,23 @@ def test_learning_rate_follows_the_divergence(
   assert (metrics['kl'] > 2 * _CONFIG.target_kl) == (rate > 0.1)
 
 
+def test_few_samples_do_not_decide_about_the_learning_rate(
+  monkeypatch: pytest.MonkeyPatch,
+) -> None:
+  """Those of tumbling robots move a thousand times as far as the others."""
+
+  def divergence(mean: torch.Tensor, *args: torch.Tensor) -> torch.Tensor:
+    found = torch.full(mean.shape[:1], 0.03)
+    found[: len(found) // 10 + 1] = 30.0
+    return found
+
+  monkeypatch.setattr(networks, 'kl_divergence', divergence)
+  learner = _learner(learning_rate=0.001, target_kl=0.03)
+  metrics = learner.step(_rollouts(learner.network))
+  assert metrics['kl'] == pytest.approx(0.03)
+  assert metrics['learning_rate'] == 0.001
+
+
 @pytest.mark.parametrize(
   'changes',
   [
@@ -548,7 +565,7 @@ def test_acting() -> None:
     ({'gae_lambda': 1.1}, 'gae_lambda'),
     ({'entropy_coefficient': -0.1}, 'entropy_coefficient'),
     ({'entropy_coefficient': math.nan}, 'entropy_coefficient'),
-    ({'max_learning_rate': 1e-4}, 'min_learning_rate'),
+    ({'max_learning_rate': 1e-5}, 'min_learning_rate'),
     ({'target_kl': -0.01}, 'target_kl'),
     ({'anneal_start': -1}, 'anneal_start'),
     ({'anneal_start': 2, 'anneal_end': 1}, 'anneal_end'),
