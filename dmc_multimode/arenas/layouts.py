@@ -1,8 +1,9 @@
 """Layouts of tracks: what stands where, as declarations.
 
-A new track is a function here and its row in `LAYOUTS`.
+A new track is a function here and its row in `_FUNCTIONS`.
 """
 
+import inspect
 from typing import Callable, Mapping, NamedTuple, Sequence, TypeAlias
 
 from dm_control.composer import variation
@@ -83,11 +84,34 @@ def parkour(random_state: np.random.RandomState) -> Sequence[Piece]:
   return pieces
 
 
-LAYOUTS: Mapping[str, Layout] = {
-  'flat': flat(),
-  'gap': gap(),
-  'plateau': plateau(),
-  'block': block(),
-  'gap_block': gap_block(),
-  'parkour': parkour,
+_FUNCTIONS: Mapping[str, Callable[..., Sequence[Piece]]] = {
+  'flat': flat,
+  'gap': gap,
+  'plateau': plateau,
+  'block': block,
+  'gap_block': gap_block,
 }
+NAMES = (*_FUNCTIONS, 'parkour')
+
+
+def make(name: str, sizes: Mapping[str, Number] | None = None) -> Layout:
+  """Returns the named layout.
+
+  Args:
+    name: one of `NAMES`.
+    sizes: arguments of the layout's function, metres; its defaults otherwise.
+
+  Raises:
+    ValueError: the name or a size is unknown; the message lists the known ones.
+  """
+  if name not in NAMES:
+    raise ValueError(f'Unknown arena {name!r}; arenas are {", ".join(NAMES)}.')
+  function = _FUNCTIONS.get(name)
+  known = list(inspect.signature(function).parameters) if function else []
+  for size in sizes or {}:
+    if size not in known:
+      raise ValueError(
+        f'The arena {name!r} has no size {size!r}; it has '
+        f'{", ".join(known) or "none"}.'
+      )
+  return function(**(sizes or {})) if function else parkour

@@ -6,7 +6,7 @@ bounding volumes stale and silently disables its contacts; and a box's new size
 must reach `geom_rbound`, `geom_aabb` and `bvh_aabb` too.
 """
 
-from typing import Any, Sequence
+from typing import Any, Mapping, Sequence
 
 from dm_control import composer
 from dm_control.composer import variation
@@ -266,17 +266,22 @@ def _place(
 _MOST_PIECES = 6  # Of any layout.
 
 
-def make(name: str, num_segments: int = _MOST_PIECES) -> Track:
+def make(
+  name: str,
+  num_segments: int = _MOST_PIECES,
+  sizes: Mapping[str, layouts.Number] | None = None,
+) -> Track:
   """Returns the named track.
 
   Only 'flat' is adaptive: the other tracks are there to be mastered as they
   are.
 
+  Args:
+    name: one of `layouts.NAMES`.
+    num_segments: size of the pool of boxes.
+    sizes: of the layout, metres; see its function in `layouts`.
+
   Raises:
-    ValueError: the name is unknown; the message lists the known ones.
+    ValueError: the name or a size is unknown; the message lists the known ones.
   """
-  if name not in layouts.LAYOUTS:
-    raise ValueError(
-      f'Unknown arena {name!r}; arenas are {", ".join(layouts.LAYOUTS)}.'
-    )
-  return Track(layouts.LAYOUTS[name], num_segments, adaptive=name == 'flat')
+  return Track(layouts.make(name, sizes), num_segments, adaptive=name == 'flat')

@@ -17,7 +17,8 @@ imports whatever imports dm_control after that, inside `main`.
 
 Exit codes: 0 done; 1 flags that absl refuses, or a bug (with a traceback);
 2 something the user can put right (one line `error: ...` on stderr, and the
-traceback too with `--verbosity=1`); 130 interrupted.
+traceback too with `--verbosity=1`); 3 all in order, but what was looked for was
+not found (a plan); 130 interrupted.
 """
 
 import functools
@@ -35,6 +36,7 @@ from dmc_multimode import resources
 Main = Callable[[Sequence[str]], int | None]
 
 EXIT_ERROR = 2
+EXIT_UNSOLVED = 3
 EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells report it.
 
 # What a wrong input, a missing file or a missing extra raises. Anything else

@@ -191,6 +191,47 @@ class BatchedImitation:
     observation = self._observe()
     return self._conclude(outcome, observation)
 
+  def command(self, modes: np.ndarray) -> np.ndarray:
+    """Commands modes now, whatever the schedules say; returns observations.
+
+    As for a scheduled command, the reference is anchored where the robot is,
+    and a mode that runs already just goes on.
+
+    Args:
+      modes: mode indices, one a world, [B].
+    """
+    changed = np.flatnonzero(modes != self.core.tracker.state.mode)
+    self._move_boxes(
+      self.core.command(changed, modes[changed], self.qpos, self._random_state)
+    )
+    return self._observe()
+
+  def take(self, sources: np.ndarray) -> np.ndarray:
+    """Lets every world go on from where another is; returns observations.
+
+    Args:
+      sources: index of the world that world i takes after, [B].
+    """
+    fields = (
+      self.batch.state,
+      self._returns,
+      self._initial,
+      self._final,
+      self._ended,
+      self.core.contact,
+      *self.core.tracker.state,
+    )
+    for field in fields:
+      field[:] = field[sources]
+    terrain = self.core.terrain.rows(sources)
+    moved = [
+      (mine != other).any(axis=1)
+      for mine, other in zip(self.core.terrain, terrain, strict=True)
+    ]
+    self.core.terrain.write(np.arange(self.num_worlds), terrain)
+    self._move_boxes(np.flatnonzero(np.any(moved, axis=0)))
+    return self._observe()
+
   def _tighten(self) -> None:
     """Follows the schedule of the bound on the distance."""
     distance = self.config.distance_after(self._total_steps)
@@ -198,7 +239,7 @@ class BatchedImitation:
 
   def _bonus(self, outcome: imitation_core.Outcome) -> np.ndarray | float:
     """What a training pays besides Eq. 3, [B]."""
-    weight = self.config.contact_bonus
+    weight = self.config.contact_bonus_after(self._total_steps)
     if not weight:
       return 0.0
     agreement = self.core.footing(self._soles())

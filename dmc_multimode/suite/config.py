@@ -29,6 +29,10 @@ class ImitationConfig:
     contact_bonus: weight of what a training adds to its reward where feet stand
       and swing as the reference's do, see `rewards.footing`; no normalised
       return counts it.
+    late_contact_bonus: that weight in the end: a gait that has been learned
+      stays with less, and then keeps closer to its reference.
+    contact_bonus_start, contact_bonus_end: control steps of all worlds together
+      between which the weight changes, linearly, from the one to the other.
     reference_starts: share of the episodes that start on the reference at a
       random phase, with the reference's velocity.
     edge_noise: half-width of the uniform noise on the distance to a step that
@@ -49,6 +53,9 @@ class ImitationConfig:
   physics_timestep: float = 0.005
   servo_inertia: bool = True
   contact_bonus: float = 0.0
+  late_contact_bonus: float = 0.0
+  contact_bonus_start: int = 0
+  contact_bonus_end: int = 0
   reference_starts: float = 0.5
   edge_noise: float = 0.04
   joint_noise: float = 0.05
@@ -67,9 +74,14 @@ class ImitationConfig:
         f'physics_timestep {self.physics_timestep} must divide '
         f'control_timestep {self.control_timestep}.'
       )
-    if not (math.isfinite(self.contact_bonus) and self.contact_bonus >= 0):
+    for name in ('contact_bonus', 'late_contact_bonus'):
+      value = getattr(self, name)
+      if not (math.isfinite(value) and value >= 0):
+        raise ValueError(f'{name} must not be negative, got {value}.')
+    if not 0 <= self.contact_bonus_start <= self.contact_bonus_end:
       raise ValueError(
-        f'contact_bonus must not be negative, got {self.contact_bonus}.'
+        f'contact_bonus_start {self.contact_bonus_start} must not be negative '
+        f'nor later than contact_bonus_end {self.contact_bonus_end}.'
       )
     if not 0 <= self.reference_starts <= 1:
       raise ValueError(
@@ -87,6 +99,19 @@ class ImitationConfig:
       return late
     share = steps / self.tighten_steps
     return self.early_distance + share * (late - self.early_distance)
+
+  def contact_bonus_after(self, steps: int) -> float:
+    """Weight of the bonus on footing; with no schedule, `contact_bonus`.
+
+    Args:
+      steps: control steps that all worlds of a training made together.
+    """
+    start, end = self.contact_bonus_start, self.contact_bonus_end
+    if not end or steps < start:
+      return self.contact_bonus
+    share = min((steps - start) / (end - start), 1.0) if end > start else 1.0
+    change = self.late_contact_bonus - self.contact_bonus
+    return self.contact_bonus + share * change
 
   @property
   def substeps(self) -> int:
@@ -112,6 +137,7 @@ def for_evaluation(config: ImitationConfig) -> ImitationConfig:
     tighten_steps=0,
     assist_steps=0,
     contact_bonus=0.0,
+    late_contact_bonus=0.0,
   )
 
 

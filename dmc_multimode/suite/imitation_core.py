@@ -201,7 +201,26 @@ class ImitationCore:
     Returns:
       The worlds whose terrain changed, [N].
     """
-    ids, modes = self.tracker.due()
+    return self.command(*self.tracker.due(), qpos, random_state)
+
+  def command(
+    self,
+    ids: np.ndarray,
+    modes: np.ndarray,
+    qpos: np.ndarray,
+    random_state: np.random.RandomState,
+  ) -> np.ndarray:
+    """Starts new modes where the robots are.
+
+    Args:
+      ids: worlds, [N].
+      modes: their new modes, [N].
+      qpos: of all worlds, [B, 17].
+      random_state: of the places of steps.
+
+    Returns:
+      The worlds whose terrain changed.
+    """
     if not len(ids):
       return ids
     position = qpos[ids, :3]

@@ -73,7 +73,7 @@ def _starts_and_heights(
 
 
 class LayoutTest(parameterized.TestCase):
-  @parameterized.parameters(*layouts.LAYOUTS)
+  @parameterized.parameters(*layouts.NAMES)
   def test_every_layout_generates(self, name: str) -> None:
     drawn = track.make(name).generate(np.random.RandomState(0))
     used = np.isfinite(drawn.starts[0])
@@ -113,7 +113,7 @@ class LayoutTest(parameterized.TestCase):
       self.assertLessEqual(rises.max(), 0.4)
 
   def test_only_flat_ground_is_adaptive(self) -> None:
-    adaptive = [name for name in layouts.LAYOUTS if track.make(name).adaptive]
+    adaptive = [name for name in layouts.NAMES if track.make(name).adaptive]
     self.assertEqual(adaptive, ['flat'])
 
 

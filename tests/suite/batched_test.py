@@ -118,7 +118,7 @@ class ParityTest(parameterized.TestCase):
     )
     return step, sorted(ran)
 
-  @parameterized.parameters(*layouts.LAYOUTS)
+  @parameterized.parameters(*layouts.NAMES)
   def test_every_mode(self, arena: str) -> None:
     env = multimode_biped.make_environment(_task(arena, _ENDLESS), 0, None)
     for mode in range(len(_MOTIONS)):

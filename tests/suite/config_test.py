@@ -29,6 +29,10 @@ class ImitationConfigTest(parameterized.TestCase):
     ({'physics_timestep': 0.004}, 'divide'),
     ({'physics_timestep': 0.06}, 'divide'),
     ({'reference_starts': 1.5}, 'share'),
+    ({'contact_bonus': -0.1}, 'contact_bonus'),
+    ({'late_contact_bonus': float('nan')}, 'late_contact_bonus'),
+    ({'contact_bonus_start': -1}, 'contact_bonus_start'),
+    ({'contact_bonus_start': 2, 'contact_bonus_end': 1}, 'later than'),
   )
   def test_rejects(self, values: dict[str, float], message: str) -> None:
     with self.assertRaisesRegex(ValueError, message):
@@ -37,9 +41,15 @@ class ImitationConfigTest(parameterized.TestCase):
   def test_for_evaluation(self) -> None:
     values = config.for_evaluation(
       config.ImitationConfig(
-        time_limit=3.0, tighten_steps=100, assist_steps=9, contact_bonus=0.1
+        time_limit=3.0,
+        tighten_steps=100,
+        assist_steps=9,
+        contact_bonus=0.1,
+        late_contact_bonus=0.2,
+        contact_bonus_end=10,
       )
     )
+    self.assertEqual(values.contact_bonus_after(20), 0.0)
     self.assertEqual((values.assist_steps, values.contact_bonus), (0, 0.0))
     self.assertEqual(values.reference_starts, 0.0)
     self.assertEqual(values.edge_noise, 0.0)
@@ -56,6 +66,29 @@ class ImitationConfigTest(parameterized.TestCase):
       tighten_steps=100,
     )
     self.assertAlmostEqual(values.distance_after(steps), expected)
+
+  @parameterized.parameters(
+    (0, 0.5), (100, 0.5), (150, 0.4), (300, 0.1), (1000, 0.1)
+  )
+  def test_bonus_changes(self, steps: int, expected: float) -> None:
+    values = config.ImitationConfig(
+      contact_bonus=0.5,
+      late_contact_bonus=0.1,
+      contact_bonus_start=100,
+      contact_bonus_end=300,
+    )
+    self.assertAlmostEqual(values.contact_bonus_after(steps), expected)
+
+  def test_bonus_without_a_schedule(self) -> None:
+    values = config.ImitationConfig(contact_bonus=0.5)
+    self.assertEqual(values.contact_bonus_after(10**9), 0.5)
+
+  def test_bonus_may_change_at_once(self) -> None:
+    values = config.ImitationConfig(
+      contact_bonus=0.5, contact_bonus_start=7, contact_bonus_end=7
+    )
+    self.assertEqual(values.contact_bonus_after(6), 0.5)
+    self.assertEqual(values.contact_bonus_after(7), 0.0)
 
   def test_json_round_trip(self) -> None:
     values = config.ImitationConfig(

@@ -1,0 +1,174 @@
+r"""Plans a way across a track: which mode to command when.
+
+python -m dmc_multimode.bin.plan --flagfile=flags/plan_gap.flags \
+  --policy=pi2 --out=plan.json --figure=plan.png
+"""
+
+import json
+from typing import Any, Callable, Sequence
+
+from absl import flags
+import numpy as np
+import torch
+import tqdm
+
+from dmc_multimode import atomic
+from dmc_multimode import pretrained
+from dmc_multimode.arenas import layouts
+from dmc_multimode.arenas import track
+from dmc_multimode.bin import app
+from dmc_multimode.bin import config_flags
+from dmc_multimode.bin import figures
+from dmc_multimode.bin import outputs
+from dmc_multimode.bin import plan_figures
+from dmc_multimode.planner import plan as plan_lib
+from dmc_multimode.planner import planning
+from dmc_multimode.planner import problem
+from dmc_multimode.planner import q_learning
+from dmc_multimode.planner import search
+
+_POLICY = flags.DEFINE_string(
+  'policy', 'pi2', 'Name of a shipped policy, or a folder.'
+)
+_ARENA = flags.DEFINE_string(
+  'arena', 'gap_block', f'{", ".join(layouts.NAMES)}.'
+)
+_SIZES = flags.DEFINE_list(
+  'sizes', [], 'Of the arena, metres: width:0.3,distance:1.0.'
+)
+_GOAL = flags.DEFINE_list(
+  'goal', ['2.0', '0.0', '0.9'], 'Of the trunk, metres: x,y,z.'
+)
+_KNOTS = flags.DEFINE_integer('knots', 30, 'Of the plan.')
+_DT = flags.DEFINE_float('dt', 0.15, 'Seconds from knot to knot.')
+_SEED = flags.DEFINE_integer('seed', 0, 'Of a random track, and the planner.')
+_PLANNER = flags.DEFINE_enum(
+  'planner', 'beam', ['beam', 'q_learning'], 'Which planner.'
+)
+_THREADS = flags.DEFINE_integer(
+  'threads', 0, 'Of the physics; 0 for every core.', lower_bound=0
+)
+_OUT = flags.DEFINE_string('out', None, 'JSON file to write the plan to.')
+_FIGURE = flags.DEFINE_string('figure', None, 'PNG file to draw the plan to.')
+
+_PLANNERS: dict[str, planning.PlannerConfig] = {
+  'beam': search.BeamConfig(),
+  'q_learning': q_learning.QLearningConfig(),
+}
+for _name, _config in _PLANNERS.items():
+  config_flags.define(_config, _name)
+
+
+def read_config() -> problem.ReachingConfig:
+  """Returns the problem that the flags describe."""
+  try:
+    x, y, z = (float(value) for value in _GOAL.value)
+  except ValueError as error:
+    raise ValueError(
+      f'--goal={",".join(_GOAL.value)} is not X,Y,Z in metres.'
+    ) from error
+  return problem.ReachingConfig((x, y, z), _KNOTS.value, _DT.value, _SEED.value)
+
+
+def read_sizes() -> dict[str, float]:
+  """Returns the sizes that --sizes gives."""
+  sizes: dict[str, float] = {}
+  for item in _SIZES.value:
+    name, colon, value = item.partition(':')
+    try:
+      sizes[name.strip()] = float(value)
+    except ValueError as error:
+      raise ValueError(f'--sizes: {item!r} is not NAME:METRES.') from error
+    if not colon:
+      raise ValueError(f'--sizes: {item!r} is not NAME:METRES.')
+  return sizes
+
+
+def describe(
+  found: planning.Found,
+  config: problem.ReachingConfig,
+  sizes: dict[str, float],
+) -> dict[str, Any]:
+  """Returns what is written to --out."""
+  return {
+    'success': found.success,
+    'final_position': [float(value) for value in found.final_position],
+    'goal': list(config.goal),
+    'return': found.episode_return,
+    'solve_seconds': found.solve_seconds,
+    'rollouts': found.rollouts,
+    'control_steps': found.control_steps,
+    **plan_lib.to_dict(found.plan),
+    'arena': _ARENA.value,
+    'sizes': sizes,
+    'seed': config.seed,
+    'planner': _PLANNER.value,
+    'policy': _POLICY.value,
+  }
+
+
+def _solve(
+  policy: pretrained.Policy,
+  make_arena: Callable[[], track.Track],
+  config: problem.ReachingConfig,
+) -> planning.Found:
+  """Plans under a progress bar."""
+  planner = config_flags.read(_PLANNERS[_PLANNER.value], _PLANNER.value)
+  if isinstance(planner, search.BeamConfig):
+    bar = tqdm.tqdm(total=config.knots, unit='knot')
+  else:
+    bar = tqdm.tqdm(total=planner.episodes, unit='episode')
+
+  def report(done: int, best: float, distance: float) -> None:
+    bar.set_postfix_str(f'return {best:.1f}, {distance:.2f} m to go')
+    bar.update(done - bar.n)
+
+  with bar:
+    return planning.solve(
+      policy, make_arena, config, planner, report, _THREADS.value
+    )
+
+
+def _print(found: planning.Found) -> None:
+  for name, seconds in zip(*found.plan.segments(), strict=True):
+    print(f'{name}: {seconds:g} s')
+  x, _, z = found.final_position
+  print(
+    f'{"reached" if found.success else "did NOT reach"} the goal: trunk at '
+    f'x = {x:.2f}, z = {z:.2f} m; solved in {found.solve_seconds:.1f} s, '
+    f'{found.control_steps} control steps'
+  )
+
+
+def main(argv: Sequence[str]) -> int:
+  """Plans, prints, writes, draws; returns whether the goal was reached."""
+  del argv
+  out = outputs.file('out', _OUT.value)
+  figure = outputs.file('figure', _FIGURE.value)
+  config, sizes = read_config(), read_sizes()
+  make_arena = lambda: track.make(_ARENA.value, sizes=sizes)
+  terrain = make_arena().generate(np.random.RandomState(config.seed))
+  policy = pretrained.load(_POLICY.value)
+  torch.set_num_threads(1)  # Batches are small; the physics has the cores.
+  found = _solve(policy, make_arena, config)
+  _print(found)
+  if out:
+    out.parent.mkdir(parents=True, exist_ok=True)
+    values = describe(found, config, sizes)
+    atomic.write(out, json.dumps(values, indent=1).encode())
+    print(f'The plan is in {out}')
+  if figure:
+    step = policy.config.control_timestep
+    drawn = plan_figures.draw(found.plan, found.path, step, terrain)
+    figures.save(figure, drawn)
+    print(f'The figure is in {figure}')
+  return 0 if found.success else app.EXIT_UNSOLVED
+
+
+def cli() -> None:
+  """Console script."""
+  app.run(main)
+
+
+if __name__ == '__main__':
+  cli()

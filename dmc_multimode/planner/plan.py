@@ -1,0 +1,135 @@
+"""Mode plans: a zero-order spline of modes over knots (Sec. II-E)."""
+
+import dataclasses
+import json
+import math
+import pathlib
+from typing import Any, Mapping, Sequence
+
+import numpy as np
+
+from dmc_multimode.modes import reference
+from dmc_multimode.modes import schedule as schedule_lib
+
+_MAX_BYTES = 1 << 20  # Larger files are no plans.
+_MAX_KNOTS = 10_000
+
+
+@dataclasses.dataclass(frozen=True)
+class ModePlan:
+  """Which mode is commanded at which knot.
+
+  Attributes:
+    modes: names, one a knot.
+    knot_duration: seconds from knot to knot.
+  """
+
+  modes: tuple[str, ...]
+  knot_duration: float
+
+  def __post_init__(self) -> None:
+    object.__setattr__(self, 'modes', tuple(self.modes))
+    if not 0 < len(self.modes) <= _MAX_KNOTS:
+      raise ValueError(
+        f'A plan has 1 to {_MAX_KNOTS} knots, got {len(self.modes)}.'
+      )
+    for name in self.modes:
+      if not (isinstance(name, str) and name):
+        raise ValueError(f'A plan is of names of modes, got {name!r}.')
+    if not (math.isfinite(self.knot_duration) and self.knot_duration > 0):
+      raise ValueError(
+        f'Knots must last longer than 0 s, got {self.knot_duration}.'
+      )
+
+  @property
+  def duration(self) -> float:
+    """Seconds from the first knot to the end."""
+    return len(self.modes) * self.knot_duration
+
+  def indices(self, bank: reference.ReferenceBank) -> np.ndarray:
+    """Returns the plan in the indices of a mode set, [K].
+
+    Raises:
+      ValueError: the set lacks a mode; the message lists those that it has.
+    """
+    missing = [name for name in self.modes if name not in bank.names]
+    if missing:
+      raise ValueError(
+        f'The plan commands {missing[0]!r}, which the policy does not know; '
+        f'it knows {", ".join(bank.names)}.'
+      )
+    return np.array([bank.index(name) for name in self.modes])
+
+  def schedule(
+    self, bank: reference.ReferenceBank
+  ) -> schedule_lib.ModeSchedule:
+    """Returns the plan as the schedule of one world."""
+    return schedule_lib.from_knots(self.indices(bank), self.knot_duration)
+
+  def segments(self) -> tuple[list[str], list[float]]:
+    """Returns the modes without repetitions and for how long each runs, s."""
+    names: list[str] = []
+    durations: list[float] = []
+    for name in self.modes:
+      if names and names[-1] == name:
+        durations[-1] += self.knot_duration
+      else:
+        names.append(name)
+        durations.append(self.knot_duration)
+    return names, durations
+
+
+def from_indices(
+  indices: Sequence[int], names: Sequence[str], knot_duration: float
+) -> ModePlan:
+  """Returns the plan of mode indices into `names`."""
+  return ModePlan(tuple(names[int(i)] for i in indices), knot_duration)
+
+
+def to_dict(plan: ModePlan) -> dict[str, Any]:
+  """Returns the plan as JSON-able values."""
+  return {
+    'plan': list(plan.modes),
+    'knots': len(plan.modes),
+    'dt': plan.knot_duration,
+  }
+
+
+def from_dict(values: Mapping[str, Any]) -> ModePlan:
+  """Returns what `to_dict` was given; other keys are ignored.
+
+  Raises:
+    ValueError: a value is missing or of the wrong kind, or the number of knots
+      is not that of the modes.
+  """
+  try:
+    modes, knots, dt = values['plan'], values['knots'], values['dt']
+  except (KeyError, TypeError) as error:
+    raise ValueError(f'Not a plan: it lacks {error}.') from error
+  if not isinstance(modes, list):
+    raise ValueError('Not a plan: its modes are no list.')
+  if isinstance(dt, bool) or not isinstance(dt, (int, float)):
+    raise ValueError(f'Not a plan: dt is {dt!r}, not seconds.')
+  plan = ModePlan(tuple(modes), float(dt))
+  if knots != len(modes):
+    raise ValueError(f'Not a plan: {len(modes)} modes for {knots!r} knots.')
+  return plan
+
+
+def read(path: pathlib.Path) -> dict[str, Any]:
+  """Returns the content of a plan file; its plan is known to be one.
+
+  Raises:
+    FileNotFoundError: there is no such file.
+    ValueError: it holds no plan.
+  """
+  if not path.is_file():
+    raise FileNotFoundError(f'There is no plan {path}.')
+  if path.stat().st_size > _MAX_BYTES:
+    raise ValueError(f'{path} is too large for a plan.')
+  try:
+    values = json.loads(path.read_text(encoding='utf-8'))
+    from_dict(values)
+  except (ValueError, RecursionError) as error:
+    raise ValueError(f'{path}: {error}') from error
+  return values

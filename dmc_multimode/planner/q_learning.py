@@ -1,0 +1,142 @@
+"""The paper's planner: tabular Q-learning over knots (Sec. II-E).
+
+The state is the index of a knot, the action the mode that is commanded there.
+What the robot does is no part of the state, so that the values of later knots
+are means over whatever came before them.
+"""
+
+import dataclasses
+from typing import Callable
+
+import numpy as np
+
+from dmc_multimode.planner import problem as problem_lib
+from dmc_multimode.planner import search
+
+
+@dataclasses.dataclass(frozen=True)
+class QLearningConfig:
+  """Parameters of the planner.
+
+  Attributes:
+    trials: independent ones, side by side; the best plan of all counts.
+    episodes: of each trial.
+    learning_rate: alpha, in (0, 1].
+    discount: gamma from knot to knot, in [0, 1].
+    initial_epsilon, final_epsilon: share of random modes in the first and in
+      the last episode; it falls linearly.
+  """
+
+  trials: int = 5
+  episodes: int = 100
+  learning_rate: float = 0.5
+  discount: float = 1.0
+  initial_epsilon: float = 1.0
+  final_epsilon: float = 0.05
+
+  def __post_init__(self) -> None:
+    for name in ('trials', 'episodes'):
+      if getattr(self, name) < 1:
+        raise ValueError(f'{name} must be positive, got {getattr(self, name)}.')
+    if not 0 < self.learning_rate <= 1:
+      raise ValueError(
+        f'learning_rate must be in (0, 1], got {self.learning_rate}.'
+      )
+    for name in ('discount', 'initial_epsilon', 'final_epsilon'):
+      if not 0 <= getattr(self, name) <= 1:
+        raise ValueError(
+          f'{name} must be in [0, 1], got {getattr(self, name)}.'
+        )
+
+  def epsilon(self, episode: int) -> float:
+    """Share of random modes in an episode, counted from 0."""
+    share = episode / max(self.episodes - 1, 1)
+    return self.initial_epsilon + share * (
+      self.final_epsilon - self.initial_epsilon
+    )
+
+
+class QTables:
+  """One table for each of T independent trials."""
+
+  def __init__(
+    self, trials: int, knots: int, modes: int, config: QLearningConfig
+  ):
+    """Starts with zeros, [T, K, M]."""
+    self._config = config
+    self.values = np.zeros((trials, knots, modes))
+
+  def act(
+    self, knot: int, epsilon: float, random_state: np.random.RandomState
+  ) -> np.ndarray:
+    """Returns epsilon-greedy modes at a knot, ties broken by chance, [T]."""
+    values = self.values[:, knot]
+    trials, modes = values.shape
+    best = values == values.max(axis=1, keepdims=True)
+    greedy = np.argmax(best * random_state.uniform(0.5, 1, best.shape), axis=1)
+    explored = random_state.randint(modes, size=trials)
+    explore = random_state.uniform(size=trials) < epsilon
+    return np.where(explore, explored, greedy)
+
+  def update(self, plans: np.ndarray, rewards: np.ndarray) -> None:
+    """Learns from one episode of each trial, the last knot first.
+
+    Args:
+      plans: the modes that were commanded, [T, K].
+      rewards: of the knots, [T, K].
+    """
+    config, rows = self._config, np.arange(len(plans))
+    following = np.zeros(len(plans))
+    for knot in reversed(range(plans.shape[1])):
+      cell = rows, knot, plans[:, knot]
+      target = rewards[:, knot] + config.discount * following
+      self.values[cell] += config.learning_rate * (target - self.values[cell])
+      following = self.values[:, knot].max(axis=1)
+
+
+def q_learning(
+  problem: problem_lib.ReachingProblem,
+  config: QLearningConfig,
+  report: Callable[[int, float, float], None] = lambda *args: None,
+) -> search.Solution:
+  """Learns plans; returns those of all episodes, the best first.
+
+  Args:
+    problem: of as many worlds as trials.
+    config: of the planner.
+    report: is told the number of episodes, the best return, and the least
+      distance from the goal along x at an end.
+
+  Raises:
+    ValueError: the problem has another number of worlds.
+  """
+  trials, knots = config.trials, problem.config.knots
+  if problem.num_worlds != trials:
+    raise ValueError(
+      f'{trials} trials need as many worlds, not {problem.num_worlds}.'
+    )
+  tables = QTables(trials, knots, problem.num_modes, config)
+  random_state = np.random.RandomState(problem.config.seed)
+  plans = np.zeros((config.episodes, trials, knots), dtype=np.int64)
+  returns = np.zeros((config.episodes, trials))
+  success = np.zeros((config.episodes, trials), dtype=bool)
+  nearest = np.inf
+  for episode in range(config.episodes):
+    epsilon, rewards = config.epsilon(episode), np.zeros((trials, knots))
+    problem.reset()
+    for knot in range(knots):
+      modes = tables.act(knot, epsilon, random_state)
+      progress = problem.run_knot(modes)
+      plans[episode, :, knot], rewards[:, knot] = modes, progress.reward
+    tables.update(plans[episode], rewards)
+    returns[episode], success[episode] = rewards.sum(axis=1), progress.reached
+    ahead = np.abs(problem.config.goal[0] - progress.position[:, 0])
+    nearest = min(nearest, ahead[progress.alive].min(initial=np.inf))
+    report(episode + 1, float(returns[: episode + 1].max()), float(nearest))
+  order = np.lexsort((-returns.ravel(), ~success.ravel()))
+  return search.Solution(
+    plans.reshape(-1, knots)[order],
+    returns.ravel()[order],
+    success.ravel()[order],
+    config.episodes * trials,
+  )

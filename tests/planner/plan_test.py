@@ -1,0 +1,105 @@
+"""Tests of dmc_multimode.planner.plan."""
+
+import json
+import math
+import pathlib
+from typing import Any
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from dmc_multimode.modes import library
+from dmc_multimode.modes import reference
+from dmc_multimode.planner import plan as plan_lib
+
+_BANK = reference.ReferenceBank(library.resolve('pi2'))
+_PLAN = plan_lib.ModePlan(('idle', 'launch', 'launch', 'idle'), 0.3)
+
+
+def test_schedule() -> None:
+  schedule = _PLAN.schedule(_BANK)
+  np.testing.assert_array_equal(schedule.modes, [[0, 3, 3, 0]])
+  np.testing.assert_allclose(schedule.starts, [[0.0, 0.3, 0.6, 0.9]])
+  assert _PLAN.duration == pytest.approx(1.2)
+
+
+def test_segments() -> None:
+  names, durations = _PLAN.segments()
+  assert names == ['idle', 'launch', 'idle']
+  assert durations == pytest.approx([0.3, 0.6, 0.3])
+
+
+def test_from_indices() -> None:
+  assert plan_lib.from_indices([0, 3, 3, 0], _BANK.names, 0.3) == _PLAN
+
+
+def test_unknown_mode() -> None:
+  plan = plan_lib.ModePlan(('idle', 'hop_forward'), 0.3)
+  with pytest.raises(ValueError, match="'hop_forward'.*knows idle, walk"):
+    plan.schedule(_BANK)
+
+
+@given(
+  st.lists(st.sampled_from(_BANK.names), min_size=1, max_size=40),
+  st.floats(1e-3, 10.0),
+)
+def test_round_trip(modes: list[str], dt: float) -> None:
+  plan = plan_lib.ModePlan(tuple(modes), dt)
+  values = json.loads(json.dumps(plan_lib.to_dict(plan)))
+  assert plan_lib.from_dict({**values, 'more': 1}) == plan
+
+
+@pytest.mark.parametrize(
+  ('changes', 'message'),
+  [
+    ({'plan': []}, '1 to 10000 knots'),
+    ({'plan': 'idle'}, 'no list'),
+    ({'plan': ['idle', 3, 'idle', '']}, 'names of modes, got 3'),
+    ({'knots': 3}, '4 modes for 3 knots'),
+    ({'dt': 0.0}, 'longer than 0'),
+    ({'dt': math.nan}, 'longer than 0'),
+    ({'dt': '0.3'}, 'not seconds'),
+    ({'dt': True}, 'not seconds'),
+  ],
+)
+def test_rejects(
+  changes: dict[str, Any], message: str, tmp_path: pathlib.Path
+) -> None:
+  values = {**plan_lib.to_dict(_PLAN), **changes}
+  with pytest.raises(ValueError, match=message):
+    plan_lib.from_dict(values)
+  path = tmp_path / 'plan.json'
+  path.write_text(json.dumps(values))
+  with pytest.raises(ValueError, match=rf'plan\.json: .*{message}'):
+    plan_lib.read(path)
+
+
+@pytest.mark.parametrize('key', ['plan', 'knots', 'dt'])
+def test_lacks(key: str) -> None:
+  values = plan_lib.to_dict(_PLAN)
+  del values[key]
+  with pytest.raises(ValueError, match=f"lacks '{key}'"):
+    plan_lib.from_dict(values)
+
+
+@pytest.mark.parametrize('text', ['', '[]', '3', '{', '[' * 100_000, '\0'])
+def test_damaged_file(text: str, tmp_path: pathlib.Path) -> None:
+  path = tmp_path / 'plan.json'
+  path.write_text(text)
+  with pytest.raises(ValueError, match=r'plan\.json'):
+    plan_lib.read(path)
+
+
+def test_missing_file(tmp_path: pathlib.Path) -> None:
+  with pytest.raises(FileNotFoundError, match=r'no plan .*none\.json'):
+    plan_lib.read(tmp_path / 'none.json')
+
+
+def test_read(tmp_path: pathlib.Path) -> None:
+  path = tmp_path / 'plan.json'
+  path.write_text(json.dumps({**plan_lib.to_dict(_PLAN), 'seed': 4}))
+  values = plan_lib.read(path)
+  assert values['seed'] == 4
+  assert plan_lib.from_dict(values) == _PLAN

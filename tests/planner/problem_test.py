@@ -1,0 +1,135 @@
+"""Tests of dmc_multimode.planner.problem, with a policy that can walk."""
+
+import functools
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dmc_multimode import pretrained
+from dmc_multimode.arenas import track
+from dmc_multimode.planner import problem as problem_lib
+
+_IDLE, _WALK = 0, 1
+
+
+@functools.cache
+def _policy() -> pretrained.Policy:
+  return pretrained.load('quickstart')
+
+
+def _problem(
+  num_worlds: int, arena: str = 'flat', **changes: Any
+) -> problem_lib.ReachingProblem:
+  config = problem_lib.ReachingConfig(
+    **{'goal': (0.5, 0.0, 0.5), 'knots': 4, 'knot_duration': 0.3, **changes}
+  )
+  return problem_lib.ReachingProblem(
+    _policy(), track.make(arena), config, num_worlds, 1
+  )
+
+
+def test_rollout() -> None:
+  problem = _problem(2)
+  found = problem.rollout(np.array([[_WALK] * 4, [_IDLE] * 4]))
+  assert found.paths.shape == (2, 40, 3)
+  np.testing.assert_array_equal(found.position, found.paths[:, -1])
+  assert 0.3 < found.position[0, 0] < 0.8
+  assert abs(found.position[1, 0]) < 0.1
+  np.testing.assert_array_equal(found.success, [True, False])
+  distances = np.linalg.norm(found.paths - [0.5, 0.0, 0.5], axis=-1)
+  np.testing.assert_allclose(found.returns, np.exp(-distances).sum(axis=1))
+  assert problem.control_steps == 2 * 40
+
+
+def test_all_begin_alike_and_again() -> None:
+  problem = _problem(3)
+  plans = np.full((3, 4), _WALK)
+  first = problem.rollout(plans)
+  np.testing.assert_array_equal(first.paths[0], first.paths[2])
+  again = problem.rollout(plans)
+  np.testing.assert_array_equal(first.paths, again.paths)
+
+
+def test_a_world_does_not_depend_on_the_others() -> None:
+  plan = np.array([_IDLE, _WALK, _IDLE, _WALK])
+  alone = _problem(1).rollout(plan[None])
+  others = np.random.RandomState(0).randint(3, size=(37, 4))
+  others[21] = plan
+  together = _problem(37).rollout(others)
+  np.testing.assert_array_equal(together.paths[21], alone.paths[0])
+
+
+def test_take() -> None:
+  """Worlds that take after another one go on as it does."""
+  problem = _problem(3)
+  problem.reset()
+  problem.run_knot(np.array([_WALK, _IDLE, 2]))
+  problem.take(np.array([0, 0, 2]))
+  branched = problem.run_knot(np.array([_WALK, _IDLE, 2]))
+  whole = _problem(3).rollout(
+    np.array([[_WALK, _WALK], [_WALK, _IDLE], [2, 2]])
+  )
+  np.testing.assert_array_equal(
+    branched.path.swapaxes(0, 1), whole.paths[:, 10:]
+  )
+
+
+def test_those_that_fell_stay_fallen() -> None:
+  problem = _problem(2, 'gap', knots=8, goal=(2.0, 0.0, 0.5))
+  plans = np.array([[_WALK] * 8, [_IDLE] * 8])
+  problem.reset()
+  knots = [problem.run_knot(modes) for modes in plans.T]
+  # The gap is where 8 knots of a walk lead to.
+  assert knots[-1].position[0, 0] > 0.8
+  assert knots[-1].position[0, 2] < 0.3
+  alive = np.array([knot.alive for knot in knots])
+  np.testing.assert_array_equal(alive[:, 1], True)
+  np.testing.assert_array_equal(alive[0], True)
+  assert not alive[-1, 0]
+  assert (np.diff(alive[:, 0].astype(int)) <= 0).all()
+  assert knots[-1].reward[0] == 0.0
+  assert not knots[-1].reached.any()
+  problem.reset()
+  assert problem.run_knot(plans[:, 0]).alive.all()
+  # Who takes after a fallen robot has fallen.
+  for modes in plans.T[1:]:
+    problem.run_knot(modes)
+  problem.take(np.array([1, 0]))
+  fallen = problem.run_knot(np.array([_IDLE, _IDLE]))
+  np.testing.assert_array_equal(fallen.alive, [True, False])
+
+
+@pytest.mark.parametrize(
+  ('goal', 'reached'),
+  [
+    ((0.6, 0.0, 0.5), True),
+    ((0.2, 0.0, 0.5), True),  # Past it, on the same ground.
+    ((1.2, 0.0, 0.5), False),
+    ((0.6, 0.0, 0.7), False),  # Too low.
+  ],
+)
+def test_reached(goal: tuple[float, float, float], reached: bool) -> None:
+  found = _problem(1, goal=goal).rollout(np.full((1, 4), _WALK))
+  assert 0.45 < found.position[0, 0] < 0.8
+  assert found.success[0] == reached
+
+
+@pytest.mark.parametrize(
+  ('changes', 'message'),
+  [
+    ({'knots': 0}, 'at least one knot'),
+    ({'knot_duration': 0.0}, 'longer than 0'),
+    ({'knot_duration': 0.1}, 'no multiple of the control step, 0.03'),
+    ({'goal': (1.0, 0.5)}, 'x, y and z'),
+    ({'goal': (1.0, 0.5, np.nan)}, 'x, y and z'),
+    ({'goal': (1.0, 0.0, 0.5), 'arena': 'gap'}, 'not over the track'),
+    ({'goal': (100.0, 0.0, 0.5)}, 'x = 100 m, is not over the track'),
+    ({'goal': (2.0, 0.0, 0.4), 'arena': 'block'}, 'ground at 0.4 m'),
+    ({'goal': (2.0, 0.0, 3.0)}, 'z = 3 m'),
+    ({'seed': -1}, 'seed'),
+  ],
+)
+def test_rejects(changes: dict[str, Any], message: str) -> None:
+  with pytest.raises(ValueError, match=message):
+    _problem(1, **changes)
