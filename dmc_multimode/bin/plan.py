@@ -114,6 +114,7 @@ def _solve(
 ) -> planning.Found:
   """Plans under a progress bar."""
   planner = config_flags.read(_PLANNERS[_PLANNER.value], _PLANNER.value)
+  solver = planning.Solver(policy, make_arena, config, planner, _THREADS.value)
   if isinstance(planner, search.BeamConfig):
     bar = tqdm.tqdm(total=config.knots, unit='knot')
   else:
@@ -124,9 +125,7 @@ def _solve(
     bar.update(done - bar.n)
 
   with bar:
-    return planning.solve(
-      policy, make_arena, config, planner, report, _THREADS.value
-    )
+    return solver.solve(report)
 
 
 def _print(found: planning.Found) -> None:

@@ -3,12 +3,15 @@ r"""Records a policy that follows a schedule of modes, as a video.
   python -m dmc_multimode.bin.record --policy=quickstart \
     --schedule=walk_forward:2,leap_forward:3 --arena=flat --out=video.mp4
 
+  python -m dmc_multimode.bin.record --policy=pi2 --plan=plan.json \
+    --out=video.mp4
+
 The translucent box is the reference. A robot that falls is recorded on, with
 the cause in the frame, unless --terminate is given.
 """
 
 import pathlib
-from typing import Sequence
+from typing import Any, Sequence
 
 from absl import flags
 
@@ -16,6 +19,7 @@ from dmc_multimode.bin import app
 from dmc_multimode.bin import gl
 from dmc_multimode.bin import video
 from dmc_multimode.modes import schedule
+from dmc_multimode.planner import plan as plan_lib
 
 _POLICY = flags.DEFINE_string(
   'policy', None, 'Name of a shipped policy, or folder of a policy or a run.'
@@ -25,6 +29,9 @@ _SCHEDULE = flags.DEFINE_string(
 )
 _ARENA = flags.DEFINE_string(
   'arena', 'flat', 'flat, gap, plateau, block, gap_block or parkour.'
+)
+_PLAN = flags.DEFINE_string(
+  'plan', None, 'A file that `plan` wrote; says schedule, arena and seed.'
 )
 _OUT = flags.DEFINE_string('out', None, 'The video to write, an .mp4 file.')
 _CAMERA = flags.DEFINE_string(
@@ -49,7 +56,7 @@ _SLOW_MOTION = flags.DEFINE_float('slow_motion', 1.0, 'Times slower than life.')
 def main(argv: Sequence[str]) -> None:
   """Checks the input, then rolls out and draws; `argv` holds no flags."""
   del argv
-  names, durations = schedule.parse(_SCHEDULE.value)
+  what = _planned(_PLAN.value) if _PLAN.value else _scheduled()
   policy, out = _checked_paths()
   gl.choose_backend()
   # These import dm_control, which reads the choice.
@@ -60,11 +67,8 @@ def main(argv: Sequence[str]) -> None:
   recording.record(
     pretrained.load(policy),
     rollout.RolloutConfig(
-      modes=tuple(names),
-      durations=tuple(durations),
-      arena=_ARENA.value,
+      **what,
       clock_rate=_CLOCK_RATE.value,
-      seed=_SEED.value,
       physics_timestep=_PHYSICS_TIMESTEP.value,
       terminate=_TERMINATE.value,
     ),
@@ -77,6 +81,37 @@ def main(argv: Sequence[str]) -> None:
     ),
     out,
   )
+
+
+def _scheduled() -> dict[str, Any]:
+  """Returns the part of the roll-out that --schedule and its kin say."""
+  names, durations = schedule.parse(_SCHEDULE.value)
+  return {
+    'modes': tuple(names),
+    'durations': tuple(durations),
+    'arena': _ARENA.value,
+    'seed': _SEED.value,
+  }
+
+
+def _planned(plan: str) -> dict[str, Any]:
+  """Returns the same from the file that --plan names.
+
+  Raises:
+    FileNotFoundError: there is none.
+    ValueError: it holds no plan, or other flags say the same things.
+  """
+  for name in ('schedule', 'arena', 'seed', 'clock_rate'):
+    if flags.FLAGS[name].present:
+      raise ValueError(f'--plan says what --{name} would: give one of them.')
+  values = plan_lib.read(pathlib.Path(plan))
+  names, durations = plan_lib.from_dict(values).segments()
+  return {
+    'modes': tuple(names),
+    'durations': tuple(durations),
+    'exact': True,
+    **plan_lib.course(values)._asdict(),
+  }
 
 
 def _checked_paths() -> tuple[str, pathlib.Path]:

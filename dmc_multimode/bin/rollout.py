@@ -2,7 +2,7 @@
 
 import collections
 import dataclasses
-from typing import Any, Iterator, NamedTuple, Sequence
+from typing import Any, Iterator, Mapping, NamedTuple, Sequence
 
 from dm_control import composer
 import numpy as np
@@ -29,6 +29,8 @@ class RolloutConfig:
     modes: names of the commanded modes.
     durations: of the commands, seconds.
     arena: name of a track.
+    sizes: of the track, metres, where they are not its defaults.
+    exact: whether the robot starts without noise, as plans are made for.
     clock_rate: rate of the phase clock, 1 being the references' own.
     seed: of the terrain and of the initial state's noise.
     physics_timestep: seconds; the policy's own if None.
@@ -38,6 +40,8 @@ class RolloutConfig:
   modes: tuple[str, ...]
   durations: tuple[float, ...]
   arena: str = 'flat'
+  sizes: Mapping[str, float] = dataclasses.field(default_factory=dict)
+  exact: bool = False
   clock_rate: float = 1.0
   seed: int = 0
   physics_timestep: float | None = None
@@ -236,12 +240,16 @@ def _task_config(
     changes['physics_timestep'] = rollout.physics_timestep
   if not rollout.terminate:
     changes['limits'] = _NO_LIMITS
+  if rollout.exact:
+    changes |= dict.fromkeys(
+      ('joint_noise', 'velocity_noise', 'tilt_noise'), 0.0
+    )
   return dataclasses.replace(config_lib.for_evaluation(config), **changes)
 
 
 def _make_arena(config: RolloutConfig) -> track.Track:
   """The arena, with room for the step that any of the commands may call for."""
-  arena = track.make(config.arena)
+  arena = track.make(config.arena, sizes=config.sizes)
   if not arena.adaptive:
     return arena
   return track.make(config.arena, arena.num_segments + len(config.modes))

@@ -4,7 +4,7 @@ import dataclasses
 import json
 import math
 import pathlib
-from typing import Any, Mapping, Sequence
+from typing import Any, Mapping, NamedTuple, Sequence
 
 import numpy as np
 
@@ -79,6 +79,20 @@ class ModePlan:
     return names, durations
 
 
+class Course(NamedTuple):
+  """What a plan was made for.
+
+  Attributes:
+    arena: name of the track.
+    sizes: of the track, metres, where they are not its defaults.
+    seed: of the track, if it is random.
+  """
+
+  arena: str
+  sizes: Mapping[str, float]
+  seed: int
+
+
 def from_indices(
   indices: Sequence[int], names: Sequence[str], knot_duration: float
 ) -> ModePlan:
@@ -114,6 +128,24 @@ def from_dict(values: Mapping[str, Any]) -> ModePlan:
   if knots != len(modes):
     raise ValueError(f'Not a plan: {len(modes)} modes for {knots!r} knots.')
   return plan
+
+
+def course(values: Mapping[str, Any]) -> Course:
+  """Returns what the content of a plan file says about its track.
+
+  Raises:
+    ValueError: something is missing or of the wrong kind.
+  """
+  arena, sizes, seed = (values.get(key) for key in Course._fields)
+  if (
+    not isinstance(arena, str)
+    or not isinstance(sizes, dict)
+    or not all(isinstance(size, (int, float)) for size in sizes.values())
+    or not isinstance(seed, int)
+    or seed < 0
+  ):
+    raise ValueError('The plan does not say for which arena, sizes and seed.')
+  return Course(arena, sizes, seed)
 
 
 def read(path: pathlib.Path) -> dict[str, Any]:

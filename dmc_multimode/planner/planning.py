@@ -50,52 +50,60 @@ def num_worlds(config: PlannerConfig, num_modes: int) -> int:
   return config.trials
 
 
-def solve(
-  policy: problem_lib.Policy,
-  make_arena: Callable[[], track_lib.Track],
-  config: problem_lib.ReachingConfig,
-  planner: PlannerConfig,
-  report: Report = lambda *args: None,
-  num_threads: int = 0,
-) -> Found:
-  """Finds a plan; the best that was found if none succeeds.
+class Solver:
+  """A planner on its problem, compiled and ready to run."""
 
-  Args:
-    policy: turns mode commands into motion.
-    make_arena: returns the track anew, for worlds of its own.
-    config: goal and knots.
-    planner: which planner, and how.
-    report: progress; see `search.beam_search` and `q_learning.q_learning`.
-    num_threads: of the physics; 0 takes every core.
+  def __init__(
+    self,
+    policy: problem_lib.Policy,
+    make_arena: Callable[[], track_lib.Track],
+    config: problem_lib.ReachingConfig,
+    planner: PlannerConfig,
+    num_threads: int = 0,
+  ):
+    """Compiles the worlds.
 
-  Raises:
-    ValueError: the goal is not over the track, or a knot is no whole number of
-      control steps.
-  """
-  problem = problem_lib.ReachingProblem(
-    policy,
-    make_arena(),
-    config,
-    num_worlds(planner, len(policy.motions)),
-    num_threads,
-  )
-  alone = problem_lib.ReachingProblem(policy, make_arena(), config, 1, 1)
-  began = time.perf_counter()
-  if isinstance(planner, search.BeamConfig):
-    solution = search.beam_search(problem, planner, report)
-  else:
-    solution = q_learning.q_learning(problem, planner, report)
-  plan, trial = _best_alone(alone, solution)
-  seconds = time.perf_counter() - began
-  return Found(
-    plan,
-    bool(trial.success[0]),
-    float(trial.returns[0]),
-    trial.paths[0],
-    seconds,
-    solution.episodes,
-    problem.control_steps + alone.control_steps,
-  )
+    Args:
+      policy: turns mode commands into motion.
+      make_arena: returns the track anew, for worlds of its own.
+      config: goal and knots.
+      planner: which planner, and how.
+      num_threads: of the physics; 0 takes every core.
+
+    Raises:
+      ValueError: the goal is not over the track, or a knot is no whole number
+        of control steps.
+    """
+    self._planner = planner
+    count = num_worlds(planner, len(policy.motions))
+    self._problem, self._alone = (
+      problem_lib.ReachingProblem(policy, make_arena(), config, worlds, threads)
+      for worlds, threads in ((count, num_threads), (1, 1))
+    )
+
+  def solve(self, report: Report = lambda *args: None) -> Found:
+    """Finds a plan; the best that was found if none succeeds.
+
+    Args:
+      report: progress; see `search.beam_search` and `q_learning.q_learning`.
+    """
+    problem, alone = self._problem, self._alone
+    problem.control_steps = alone.control_steps = 0
+    began = time.perf_counter()
+    if isinstance(self._planner, search.BeamConfig):
+      solution = search.beam_search(problem, self._planner, report)
+    else:
+      solution = q_learning.q_learning(problem, self._planner, report)
+    plan, trial = _best_alone(alone, solution)
+    return Found(
+      plan,
+      bool(trial.success[0]),
+      float(trial.returns[0]),
+      trial.paths[0],
+      time.perf_counter() - began,
+      solution.episodes,
+      problem.control_steps + alone.control_steps,
+    )
 
 
 def replay(
@@ -104,7 +112,7 @@ def replay(
   config: problem_lib.ReachingConfig,
   plan: plan_lib.ModePlan,
 ) -> problem_lib.Trials:
-  """Runs a plan in one world, as `solve` did in the end, bit for bit.
+  """Runs a plan in one world, as `Solver` did in the end, bit for bit.
 
   Raises:
     ValueError: the plan has other knots than `config`, or commands a mode that

@@ -97,6 +97,20 @@ def test_missing_file(tmp_path: pathlib.Path) -> None:
     plan_lib.read(tmp_path / 'none.json')
 
 
+def test_course() -> None:
+  values = {'arena': 'gap', 'sizes': {'width': 0.3}, 'seed': 2, 'knots': 4}
+  assert plan_lib.course(values) == ('gap', {'width': 0.3}, 2)
+  for changes in (
+    {'arena': 3},
+    {'sizes': {'width': 'wide'}},
+    {'sizes': [0.3]},
+    {'seed': -1},
+    {'seed': None},
+  ):
+    with pytest.raises(ValueError, match='for which arena'):
+      plan_lib.course({**values, **changes})
+
+
 def test_read(tmp_path: pathlib.Path) -> None:
   path = tmp_path / 'plan.json'
   path.write_text(json.dumps({**plan_lib.to_dict(_PLAN), 'seed': 4}))

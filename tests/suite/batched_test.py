@@ -353,6 +353,64 @@ class StateTest(parameterized.TestCase):
       batched.BatchedImitation(_transitions(), 4, 0, 1).restore(state)
 
 
+class CommandTest(parameterized.TestCase):
+  """What planners do to worlds."""
+
+  def _worlds(self, mode: int, num_worlds: int = 4) -> batched.BatchedImitation:
+    task = multimode_biped.make_task(
+      _MOTIONS,
+      _BOOK,
+      episodes.ScheduledEpisodes(schedule.single(np.array([mode]))),
+      config=_ENDLESS,
+    )
+    worlds = batched.BatchedImitation(task, num_worlds, 0, 1, auto_reset=False)
+    worlds.reset()
+    return worlds
+
+  def _rest(self, worlds: batched.BatchedImitation, steps: int) -> Any:
+    action = np.tile(worlds.standing_action(), (worlds.num_worlds, 1))
+    for _ in range(steps):
+      step = worlds.step(action)
+    return step.observation
+
+  def test_a_new_mode_begins_here_and_an_old_one_goes_on(self) -> None:
+    worlds = self._worlds(0)
+    self._rest(worlds, 7)
+    before = worlds.measure()
+    observation = worlds.command(np.array([0, 1, _LAUNCH, 0]))
+    after = worlds.measure()
+    np.testing.assert_array_equal(after['mode'], [0, 1, _LAUNCH, 0])
+    self.assertGreater(before['phase'][0], 0.2)
+    np.testing.assert_array_equal(
+      after['phase'], before['phase'] * np.array([1, 0, 0, 1])
+    )
+    np.testing.assert_array_equal(
+      after['reference'][1:3, :2], before['position'][1:3, :2]
+    )
+    np.testing.assert_array_equal(
+      worlds.core.terrain.tops[:, 1], [0.0, 0.0, 0.4, 0.0]
+    )
+    np.testing.assert_allclose(
+      observation[:, 2 : 2 + len(_MOTIONS)],
+      _BOOK.latents[[0, 1, _LAUNCH, 0]],
+    )
+
+  def test_worlds_go_on_from_where_others_are(self) -> None:
+    worlds, other = self._worlds(0), self._worlds(0)
+    for each in (worlds, other):
+      self._rest(each, 3)
+      each.command(np.array([0, 1, _LAUNCH, 0]))
+      seen = self._rest(each, 5)
+    sources = np.array([2, 0, 1, 2])
+    np.testing.assert_array_equal(worlds.take(sources), seen[sources])
+    # The block comes along: half a second later the robots are as the sources.
+    np.testing.assert_array_equal(
+      self._rest(worlds, 15), self._rest(other, 15)[sources]
+    )
+    boxes = worlds.batch.bind('mocap_pos')
+    np.testing.assert_array_equal(boxes, other.batch.bind('mocap_pos')[sources])
+
+
 class SchedulesTest(parameterized.TestCase):
   """What changes in the course of a training."""
 
