@@ -109,7 +109,6 @@ def _planned(plan: str) -> dict[str, Any]:
   return {
     'modes': tuple(names),
     'durations': tuple(durations),
-    'exact': True,
     **plan_lib.course(values)._asdict(),
   }
 

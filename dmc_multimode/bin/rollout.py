@@ -30,7 +30,6 @@ class RolloutConfig:
     durations: of the commands, seconds.
     arena: name of a track.
     sizes: of the track, metres, where they are not its defaults.
-    exact: whether the robot starts without noise, as plans are made for.
     clock_rate: rate of the phase clock, 1 being the references' own.
     seed: of the terrain and of the initial state's noise.
     physics_timestep: seconds; the policy's own if None.
@@ -41,7 +40,6 @@ class RolloutConfig:
   durations: tuple[float, ...]
   arena: str = 'flat'
   sizes: Mapping[str, float] = dataclasses.field(default_factory=dict)
-  exact: bool = False
   clock_rate: float = 1.0
   seed: int = 0
   physics_timestep: float | None = None
@@ -240,10 +238,6 @@ def _task_config(
     changes['physics_timestep'] = rollout.physics_timestep
   if not rollout.terminate:
     changes['limits'] = _NO_LIMITS
-  if rollout.exact:
-    changes |= dict.fromkeys(
-      ('joint_noise', 'velocity_noise', 'tilt_noise'), 0.0
-    )
   return dataclasses.replace(config_lib.for_evaluation(config), **changes)
 
 

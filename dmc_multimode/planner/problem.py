@@ -52,18 +52,13 @@ class ReachingConfig:
     goal: of the trunk in the world, metres (x, y, z).
     knots: of the plan.
     knot_duration: seconds from knot to knot.
-    seed: of the terrain and of the initial state.
-    joint_noise, velocity_noise, tilt_noise: of the initial state, see
-      `ImitationConfig`.
+    seed: of the terrain and of the initial state's noise.
   """
 
   goal: tuple[float, float, float] = (2.0, 0.0, 0.5)
   knots: int = 11
   knot_duration: float = 0.3
   seed: int = 0
-  joint_noise: float = 0.0
-  velocity_noise: float = 0.0
-  tilt_noise: float = 0.0
 
   def __post_init__(self) -> None:
     if len(self.goal) != 3 or not np.isfinite(self.goal).all():
@@ -160,8 +155,7 @@ class ReachingProblem:
     self.control_steps = 0
     self._alive = np.ones(num_worlds, dtype=bool)
     self._goal = np.array(config.goal)
-    self._observation = self._worlds.reset()
-    self._observation = self._worlds.take(np.zeros(num_worlds, dtype=int))
+    self._observation = self._worlds.reset_alike()
     self._start = self._worlds.state()
     self._check_goal()
 
@@ -175,9 +169,6 @@ class ReachingProblem:
       time_limit=max(
         config.knots * config.knot_duration, task.control_timestep
       ),
-      joint_noise=config.joint_noise,
-      velocity_noise=config.velocity_noise,
-      tilt_noise=config.tilt_noise,
     )
 
   def _knot_steps(self) -> int:
@@ -265,8 +256,13 @@ class ReachingProblem:
     )
 
   def _act(self) -> np.ndarray:
-    """Acts with batches of one size, so that a world's action is its own."""
+    """Acts with batches of one size, so that a world's action is its own.
+
+    A single world acts as one in a Composer environment does.
+    """
     seen = self._observation
+    if len(seen) == 1:
+      return self.policy.select_action(seen)
     missing = -len(seen) % _BLOCK
     padded = np.concatenate([seen, np.repeat(seen[:1], missing, axis=0)])
     actions = [

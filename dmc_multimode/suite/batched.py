@@ -173,6 +173,16 @@ class BatchedImitation:
     self._ended[:] = False
     return self._observe()
 
+  def reset_alike(self) -> np.ndarray:
+    """Begins one episode in all worlds; returns the observations.
+
+    It is the one that a single world, or a Composer environment, begins with
+    the same seed.
+    """
+    self._begin(np.array([0]))
+    self._ended[:] = False
+    return self.take(np.zeros(self.num_worlds, dtype=np.int64))
+
   def step(self, actions: np.ndarray) -> BatchedTimeStep:
     """Applies actions, [B, 10], for one control step."""
     diverged = self._advance_physics(actions)

@@ -50,8 +50,7 @@ def test_solve_and_replay(
   assert reports
   replayed = planning.replay(policy, track.make('flat'), _CONFIG, found.plan)
   np.testing.assert_array_equal(replayed.paths[0], found.path)
-  # Actions are rounded otherwise, in batches of one.
-  np.testing.assert_allclose(_in_composer(policy, found), found.path, atol=1e-4)
+  np.testing.assert_array_equal(_in_composer(policy, found), found.path)
 
 
 def _in_composer(
@@ -61,9 +60,6 @@ def _in_composer(
   config = dataclasses.replace(
     config_lib.for_evaluation(policy.config),
     time_limit=found.plan.duration,
-    joint_noise=0.0,
-    velocity_noise=0.0,
-    tilt_noise=0.0,
   )
   motions = policy.motions
   bank = reference.ReferenceBank(motions)

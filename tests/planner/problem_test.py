@@ -53,11 +53,24 @@ def test_all_begin_alike_and_again() -> None:
 
 def test_a_world_does_not_depend_on_the_others() -> None:
   plan = np.array([_IDLE, _WALK, _IDLE, _WALK])
-  alone = _problem(1).rollout(plan[None])
+  few = _problem(2).rollout(np.stack([plan, plan[::-1]]))
   others = np.random.RandomState(0).randint(3, size=(37, 4))
   others[21] = plan
   together = _problem(37).rollout(others)
-  np.testing.assert_array_equal(together.paths[21], alone.paths[0])
+  np.testing.assert_array_equal(together.paths[21], few.paths[0])
+  # One by itself is rounded as a Composer environment's actions are.
+  alone = _problem(1).rollout(plan[None])
+  np.testing.assert_allclose(alone.paths[0], few.paths[0], atol=5e-3)
+
+
+def test_seeds_are_starts() -> None:
+  """And the same ones for any number of worlds."""
+  plan = np.full((1, 4), _WALK)
+  one, other = (_problem(1, seed=seed).rollout(plan) for seed in (1, 2))
+  assert np.abs(one.paths[0, 0] - other.paths[0, 0]).max() > 1e-4
+  many = _problem(5, seed=2).rollout(np.repeat(plan, 5, axis=0))
+  for path in many.paths:
+    np.testing.assert_allclose(path[:5], other.paths[0, :5], atol=1e-4)
 
 
 def test_take() -> None:
