@@ -1,0 +1,75 @@
+"""Tests of benchmarks.planning."""
+
+import json
+import pathlib
+from typing import Iterator
+
+import pytest
+
+from tests.bin import processes
+
+
+@pytest.fixture(scope='module')
+def benchmark(
+  tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[processes.Binary]:
+  binary = processes.Binary(
+    'app',  # A binary without flags, to be replaced.
+    tmp_path_factory.mktemp('output'),
+    'from benchmarks import planning as binary',
+  )
+  yield binary
+  binary.close()
+
+
+def test_report(benchmark: processes.Binary, tmp_path: pathlib.Path) -> None:
+  out = tmp_path / 'planning.json'
+  done = benchmark(
+    '--policy=quickstart',
+    '--planners=beam',
+    '--beams=1',
+    '--seeds=2',
+    '--random=1',
+    f'--out={out}',
+  )
+  assert done.code == 0, done.stderr
+  report = json.loads(out.read_text())
+  plans, table = report['plans'], report['table']
+  assert [row['track'] for row in table] == [
+    'gap',
+    'plateau',
+    'gap_block',
+    'parkour',
+  ]
+  assert [row['of'] for row in table] == [2, 2, 2, 1]
+  lines = done.stdout.splitlines()[-4:]
+  for row, line in zip(table, lines, strict=True):
+    mine = [plan for plan in plans if plan['track'] == row['track']]
+    assert row['solved'] == sum(plan['success'] for plan in mine)
+    assert line.startswith(row['track'])
+    assert f'{row["solved"]} of {row["of"]}' in line
+    for plan in mine:
+      knots = 11 if row['track'] in ('gap', 'plateau') else len(plan['plan'])
+      assert len(plan['plan']) == knots
+      assert plan['control_steps'] > 0
+  # Without launch nobody gets onto a block of 0.4 m.
+  assert table[2]['solved'] == 0
+  assert 'gap_block 0: not solved' in done.stderr
+  starts = [plan['final_position'] for plan in plans[:2]]
+  assert starts[0] != starts[1]  # The seeds are two starts.
+
+
+@pytest.mark.parametrize(
+  ('flag', 'message'),
+  [
+    ('--planners=beam,guess', "'guess' is not one of beam, q_learning"),
+    ('--out={tmp}/none/file.json', 'there is no folder'),
+    ('--policy={tmp}/none', 'no pretrained named'),
+  ],
+)
+def test_bad_input(
+  benchmark: processes.Binary, tmp_path: pathlib.Path, flag: str, message: str
+) -> None:
+  done = benchmark(flag.format(tmp=tmp_path))
+  assert done.code == 2, done.stderr
+  assert message in done.error
