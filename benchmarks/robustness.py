@@ -28,7 +28,7 @@ from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite import config as config_lib
 
 _POLICY = flags.DEFINE_string(
-  'policy', 'quickstart', 'Name of a shipped policy, or a folder.'
+  'policy', 'pi2', 'Name of a shipped policy, or a folder.'
 )
 _CASES = flags.DEFINE_list('cases', None, 'Names; all by default.')
 _EPISODES = flags.DEFINE_integer(

@@ -44,6 +44,18 @@ class ShippedTest(parameterized.TestCase):
       if reported['survival'] == 1.0:
         self.assertTrue(found.survived[mine].all(), motion.name)
 
+  def test_pi2_was_measured_to_keep_its_promises(self) -> None:
+    metrics = pretrained.load('pi2').metrics
+    kept = {
+      (mode, metric): row['kept']
+      for mode, rows in metrics['behaviour'].items()
+      for metric, row in rows.items()
+    }
+    self.assertLen(kept, 7)
+    self.assertEqual(set(kept.values()), {True})
+    self.assertGreaterEqual(metrics['mra_modes']['mean'], 0.91)
+    self.assertGreaterEqual(metrics['mra_transitions']['mean'], 0.80)
+
   @parameterized.parameters(*((name,) for name in pretrained.names()))
   def test_it_walks_in_composer_too(self, name: str) -> None:
     policy = pretrained.load(name)
