@@ -162,6 +162,7 @@ class ReferenceBank:
     self.takeoffs = np.array([m.takeoff for m in motions])
     self.has_contacts = np.array([m.contacts is not None for m in motions])
     self._stack_keyframes()
+    # Modes that step with one foot at a time.
     steps = self._contacts.sum(axis=-1) == 1
     self.gaits = self.periodic & self.has_contacts & steps.any(axis=1)
 

@@ -252,7 +252,7 @@ class BatchedImitation:
     weight = self.config.contact_bonus_after(self._total_steps)
     if not weight:
       return 0.0
-    agreement = self.core.footing(self._soles())
+    agreement = self.core.footing(outcome.reference, self._soles())
     return np.where(
       outcome.cause == terminations.INVALID, 0.0, weight * agreement
     )

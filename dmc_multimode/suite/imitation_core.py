@@ -38,12 +38,14 @@ class Outcome(NamedTuple):
     reward: in [0, 1].
     terms: the weighted terms of the reward by name.
     errors: distances from the reference.
+    reference: that was in force.
     cause: index into `terminations.CAUSES`, 0 where the episode goes on.
   """
 
   reward: np.ndarray
   terms: dict[str, np.ndarray]
   errors: rewards.TrackingErrors
+  reference: reference_lib.Reference
   cause: np.ndarray
 
 
@@ -191,7 +193,7 @@ class ImitationCore:
     cause = terminations.termination_cause(
       errors.position, reward, height, finite, self.limits
     )
-    return Outcome(reward, terms, errors, cause)
+    return Outcome(reward, terms, errors, reference, cause)
 
   def switch(
     self, qpos: np.ndarray, random_state: np.random.RandomState
@@ -260,13 +262,15 @@ class ImitationCore:
       changed.append(ids[mine])
     return np.concatenate(changed) if changed else np.zeros(0, dtype=np.int64)
 
-  def footing(self, soles: np.ndarray) -> np.ndarray:
+  def footing(
+    self, reference: reference_lib.Reference, soles: np.ndarray
+  ) -> np.ndarray:
     """How well the feet do what the reference's do, see `rewards`, [B].
 
     Args:
+      reference: that is in force.
       soles: world positions of the soles (left, right), metres, [B, 2, 3].
     """
-    reference = self.tracker.reference()
     grounds = [self.support(soles[:, foot, 0]) for foot in range(2)]
     return rewards.footing(
       self.contact,
