@@ -74,13 +74,11 @@ def read_sizes() -> dict[str, float]:
   """Returns the sizes that --sizes gives."""
   sizes: dict[str, float] = {}
   for item in _SIZES.value:
-    name, colon, value = item.partition(':')
+    name, _, value = item.partition(':')
     try:
       sizes[name.strip()] = float(value)
     except ValueError as error:
       raise ValueError(f'--sizes: {item!r} is not NAME:METRES.') from error
-    if not colon:
-      raise ValueError(f'--sizes: {item!r} is not NAME:METRES.')
   return sizes
 
 
