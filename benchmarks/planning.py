@@ -12,11 +12,10 @@ all worlds together. The paper's times are its own, on another machine.
 import pathlib
 import statistics
 import sys
-from typing import Any, Mapping, NamedTuple, Sequence
+from typing import Any, Sequence
 
 from absl import flags
 import mujoco
-import numpy as np
 import torch
 import tqdm
 
@@ -24,11 +23,10 @@ from benchmarks import common
 from dmc_multimode import pretrained
 from dmc_multimode.arenas import track
 from dmc_multimode.bin import app
-from dmc_multimode.modes import library
 from dmc_multimode.planner import planning
-from dmc_multimode.planner import problem
 from dmc_multimode.planner import q_learning
 from dmc_multimode.planner import search
+from dmc_multimode.suite import reaching
 
 _POLICY = flags.DEFINE_string(
   'policy', 'pi2', 'Name of a shipped policy, or a folder.'
@@ -43,60 +41,21 @@ _BEAMS = flags.DEFINE_integer(
 )
 _OUT = flags.DEFINE_string('out', None, 'JSON file to write.')
 
-_RANDOM_NAME = 'parkour'
-_BEYOND = 0.4  # Metres behind the last edge of a random track: the goal.
-_SPEED = 0.3  # m/s at least that time is left for.
-_RANDOM_DT = 0.15  # Seconds.
-
 Row = dict[str, Any]
-
-
-class Problem(NamedTuple):
-  """A row of Table III.
-
-  Attributes:
-    goal: of the trunk, metres.
-    knots: of a plan.
-    dt: seconds from knot to knot.
-    paper: solve time in the paper, seconds.
-  """
-
-  goal: tuple[float, float, float]
-  knots: int
-  dt: float
-  paper: float
-
-
-PROBLEMS: Mapping[str, Problem] = {
-  'gap': Problem((2.0, 0.0, 0.5), 11, 0.3, 185.0),
-  'plateau': Problem((2.0, 0.0, 0.5), 11, 0.3, 213.0),
-  'gap_block': Problem((2.0, 0.0, 0.9), 30, 0.15, 161.0),
-}
-
-
-def random_problem(seed: int) -> Problem:
-  """Returns how to cross the random track of a seed."""
-  terrain = track.make(_RANDOM_NAME).generate(np.random.RandomState(seed))
-  last = np.flatnonzero(np.isfinite(terrain.starts[0]))[-1]
-  x = float(terrain.starts[0, last]) + _BEYOND
-  z = float(terrain.tops[0, last]) + library.STAND_HEIGHT
-  return Problem((x, 0.0, z), round(x / _SPEED / _RANDOM_DT), _RANDOM_DT, 0.0)
 
 
 def solve(
   policy: pretrained.Policy,
   name: str,
-  wanted: Problem,
-  seed: int,
+  config: reaching.ReachingConfig,
   planner: planning.PlannerConfig,
 ) -> Row:
   """Returns what a planner finds on a track."""
-  config = problem.ReachingConfig(wanted.goal, wanted.knots, wanted.dt, seed)
   make_arena = lambda: track.make(name)
   found = planning.Solver(policy, make_arena, config, planner).solve()
   return {
     'track': name,
-    'seed': seed,
+    'seed': config.seed,
     'planner': 'beam'
     if isinstance(planner, search.BeamConfig)
     else ('q_learning'),
@@ -104,7 +63,7 @@ def solve(
     'return': found.episode_return,
     'solve_seconds': found.solve_seconds,
     'control_steps': found.control_steps,
-    'goal': list(wanted.goal),
+    'goal': list(config.goal),
     'final_position': found.final_position.tolist(),
     'plan': list(found.plan.modes),
   }
@@ -124,7 +83,9 @@ def summary(rows: Sequence[Row]) -> Row:
     'solve_seconds': median('solve_seconds'),
     'steps_per_second': steps / seconds,
     'paper_seconds': (
-      PROBLEMS[rows[0]['track']].paper if rows[0]['track'] in PROBLEMS else None
+      reaching.PROBLEMS[rows[0]['track']].paper_seconds
+      if rows[0]['track'] in reaching.PROBLEMS
+      else None
     ),
   }
 
@@ -153,17 +114,21 @@ def _planners() -> dict[str, planning.PlannerConfig]:
   return {name: known[name] for name in _PLANNERS.value}
 
 
-def _cases() -> list[tuple[str, Problem, int, planning.PlannerConfig]]:
-  """Returns track, problem, seed and planner of every plan to be found."""
+def _cases() -> list[
+  tuple[str, reaching.ReachingConfig, planning.PlannerConfig]
+]:
+  """Returns track, problem and planner of every plan to be found."""
   planners = list(_planners().values())
   cases = [
-    (name, wanted, seed, planner)
+    (name, wanted.config(seed), planner)
     for planner in planners
-    for name, wanted in PROBLEMS.items()
+    for name, wanted in reaching.PROBLEMS.items()
     for seed in range(_SEEDS.value)
   ]
   for seed in range(_RANDOM.value):
-    cases.append((_RANDOM_NAME, random_problem(seed), seed, planners[0]))
+    cases.append(
+      (reaching.RANDOM_TRACK, reaching.random_problem(seed), planners[0])
+    )
   return cases
 
 
@@ -193,13 +158,13 @@ def main(argv: Sequence[str]) -> None:
   torch.set_num_threads(1)  # As `plan` does.
   print(f'{_POLICY.value}, {common.CORES} cores, mujoco {mujoco.__version__}')
   rows: list[Row] = []
-  for name, wanted, seed, planner in tqdm.tqdm(cases, unit='plan'):
-    rows.append(solve(policy, name, wanted, seed, planner))
+  for name, config, planner in tqdm.tqdm(cases, unit='plan'):
+    rows.append(solve(policy, name, config, planner))
     if not rows[-1]['success']:
       x, _, z = rows[-1]['final_position']
       tqdm.tqdm.write(
-        f'{name} {seed}: not solved, x = {x:.2f} of {wanted.goal[0]:.2f}, '
-        f'z = {z:.2f} m',
+        f'{name} {config.seed}: not solved, x = {x:.2f} of '
+        f'{config.goal[0]:.2f}, z = {z:.2f} m',
         sys.stderr,
       )
     _write(out, rows)

@@ -23,14 +23,21 @@ class TrainingConfig:
     minutes: wall-clock time of this process after which it stops.
     log_every: iterations between rows in the logs.
     checkpoint_seconds: most time between two checkpoints.
+    keep_every: control steps between policies that are kept for good; 0 keeps
+      none but the last.
   """
 
   steps: int = 12_000_000
   minutes: float = math.inf
   log_every: int = 5
   checkpoint_seconds: float = 60.0
+  keep_every: int = 0
 
   def __post_init__(self) -> None:
+    if self.keep_every < 0:
+      raise ValueError(
+        f'keep_every must not be negative, got {self.keep_every}.'
+      )
     for name in ('steps', 'minutes', 'log_every', 'checkpoint_seconds'):
       if not getattr(self, name) > 0:
         raise ValueError(f'{name} must be positive, got {getattr(self, name)}.')
@@ -160,6 +167,7 @@ class TrainingLoop:
     logger: loggers.Logger,
     save: Callable[[], None],
     should_stop: Callable[[], bool] = lambda: False,
+    keep: Callable[[], None] = lambda: None,
   ) -> None:
     """Trains until `config.steps`, the time is up or `should_stop`.
 
@@ -168,12 +176,18 @@ class TrainingLoop:
       logger: gets a row every `config.log_every` iterations.
       save: called at least every `config.checkpoint_seconds` and at the end.
       should_stop: asked after every iteration.
+      keep: called every `config.keep_every` control steps.
     """
     began = saved = logged = time.monotonic()
     logged_steps = self.steps
     while self.steps < config.steps:
+      before = self.steps
       self._collect()
       metrics = self._learner.step(self._buffers)
+      if config.keep_every and (
+        self.steps // config.keep_every > before // config.keep_every
+      ):
+        keep()
       now = time.monotonic()
       if self.iterations % config.log_every == 0:
         speed = (self.steps - logged_steps) / (now - logged)

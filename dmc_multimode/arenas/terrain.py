@@ -67,19 +67,49 @@ def clearance_height(
   return np.where(near, terrain.tops, -np.inf).max(axis=1)
 
 
+def next_segment(
+  terrain: Terrain, x: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+  """Returns what follows the segment under `x`.
+
+  Args:
+    terrain: B terrains.
+    x: world positions in metres, [B].
+
+  Returns:
+    Where the next segment starts, world metres, infinite where there is none,
+    [B]; its height over the support plane under `x`, metres, [B]; and the gap
+    before it, metres, [B].
+  """
+  rows, under = np.arange(len(x)), _segment_under(terrain, x)
+  following = np.minimum(under + 1, terrain.starts.shape[1] - 1)
+  start = np.where(following > under, terrain.starts[rows, following], np.inf)
+  exists = np.isfinite(start)
+  rise = terrain.tops[rows, following] - terrain.tops[rows, under]
+  end = np.where(exists, terrain.ends[rows, under], 0.0)
+  gap = np.where(exists, start, 0.0) - end
+  return start, np.where(exists, rise, 0.0), gap
+
+
 def with_step(
-  terrain: Terrain, x: np.ndarray, edge: np.ndarray, height: float
+  terrain: Terrain,
+  x: np.ndarray,
+  edge: np.ndarray,
+  height: np.ndarray | float,
+  gap: np.ndarray | float = 0.0,
 ) -> Terrain:
   """Returns terrains that step up or down ahead of `x` and stay level behind.
 
-  The segment under `x` is cut at `edge`, one new segment takes over until where
-  the terrain used to end, and what stood ahead is dropped.
+  The segment under `x` is cut before `edge`, one new segment takes over until
+  where the terrain used to end, and what stood ahead is dropped.
 
   Args:
     terrain: B terrains.
     x: positions in metres, [B].
     edge: position of the step in metres, [B], ahead of `x`.
-    height: of the new segment over the support plane under `x`, in metres.
+    height: of the new segment over the support plane under `x`, in metres, [B]
+      or one for all.
+    gap: metres of nothing before the step, [B] or one for all.
 
   Raises:
     ValueError: no place is left for one more segment.
@@ -95,10 +125,21 @@ def with_step(
   last = np.maximum(used.max(axis=1), edge + 1.0)
   behind = np.arange(starts.shape[1]) > under[:, None]
   starts[behind], ends[behind], tops[behind] = np.inf, np.inf, 0.0
-  ends[rows, under] = edge
+  ends[rows, under] = edge - gap
   starts[rows, under + 1] = edge
   ends[rows, under + 1] = last
   tops[rows, under + 1] = tops[rows, under] + height
+  return Terrain(starts, ends, tops)
+
+
+def levelled(terrain: Terrain, x: np.ndarray) -> Terrain:
+  """Returns terrains that go on as they are at `x`, [B], to their ends."""
+  starts, ends, tops = (field.copy() for field in terrain)
+  rows, under = np.arange(len(x)), _segment_under(terrain, x)
+  used = np.where(np.isinf(ends), -np.inf, ends)
+  ends[rows, under] = used.max(axis=1)
+  behind = np.arange(starts.shape[1]) > under[:, None]
+  starts[behind], ends[behind], tops[behind] = np.inf, np.inf, 0.0
   return Terrain(starts, ends, tops)
 
 

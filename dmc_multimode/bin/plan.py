@@ -23,9 +23,9 @@ from dmc_multimode.bin import outputs
 from dmc_multimode.bin import plan_figures
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import planning
-from dmc_multimode.planner import problem
 from dmc_multimode.planner import q_learning
 from dmc_multimode.planner import search
+from dmc_multimode.suite import reaching
 
 _POLICY = flags.DEFINE_string(
   'policy', 'pi2', 'Name of a shipped policy, or a folder.'
@@ -59,7 +59,7 @@ for _name, _config in _PLANNERS.items():
   config_flags.define(_config, _name)
 
 
-def read_config() -> problem.ReachingConfig:
+def read_config() -> reaching.ReachingConfig:
   """Returns the problem that the flags describe."""
   try:
     x, y, z = (float(value) for value in _GOAL.value)
@@ -67,7 +67,9 @@ def read_config() -> problem.ReachingConfig:
     raise ValueError(
       f'--goal={",".join(_GOAL.value)} is not X,Y,Z in metres.'
     ) from error
-  return problem.ReachingConfig((x, y, z), _KNOTS.value, _DT.value, _SEED.value)
+  return reaching.ReachingConfig(
+    (x, y, z), _KNOTS.value, _DT.value, _SEED.value
+  )
 
 
 def read_sizes() -> dict[str, float]:
@@ -84,7 +86,7 @@ def read_sizes() -> dict[str, float]:
 
 def describe(
   found: planning.Found,
-  config: problem.ReachingConfig,
+  config: reaching.ReachingConfig,
   sizes: dict[str, float],
 ) -> dict[str, Any]:
   """Returns what is written to --out."""
@@ -108,7 +110,7 @@ def describe(
 def _solve(
   policy: pretrained.Policy,
   make_arena: Callable[[], track.Track],
-  config: problem.ReachingConfig,
+  config: reaching.ReachingConfig,
 ) -> planning.Found:
   """Plans under a progress bar."""
   planner = config_flags.read(_PLANNERS[_PLANNER.value], _PLANNER.value)

@@ -26,6 +26,7 @@ from dmc_multimode.suite import multimode_biped
 
 CONFIG_FILE = 'config.json'
 _FLAT_SEGMENTS = 2  # The ground and the step of at most one command.
+_OBSTACLE_SEGMENTS = 3  # The ground and what each of two commands may meet.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -177,7 +178,9 @@ def build(
     motions,
     codebook,
     episodes.TransitionEpisodes(bank, config.sampling),
-    track.make('flat', _FLAT_SEGMENTS),
+    track.make(
+      'flat', _OBSTACLE_SEGMENTS if config.task.obstacles else _FLAT_SEGMENTS
+    ),
     config.task,
   )
   environment = batched.BatchedImitation(

@@ -57,6 +57,11 @@ _STEPS = flags.DEFINE_integer('steps', _LENGTH.steps, 'Control steps in all.')
 _MINUTES = flags.DEFINE_float(
   'minutes', _LENGTH.minutes, 'Stop after this time, with a checkpoint.'
 )
+_KEEP_EVERY = flags.DEFINE_integer(
+  'keep_every',
+  _LENGTH.keep_every,
+  'Control steps between policies kept in RUN_DIR/policies; 0: none.',
+)
 for _part in ('ppo', 'sampling', 'task'):
   config_flags.define(getattr(_DEFAULTS, _part), _part)
 
@@ -171,7 +176,9 @@ def _make_logger(directory: pathlib.Path, steps: int) -> loggers.Dispatcher:
 def main(argv: Sequence[str]) -> None:
   """Trains or resumes."""
   del argv
-  length = training.TrainingConfig(_STEPS.value, _MINUTES.value)
+  length = training.TrainingConfig(
+    _STEPS.value, _MINUTES.value, keep_every=_KEEP_EVERY.value
+  )
   if not _RUN_DIR.value:
     raise ValueError('--run_dir must name a folder.')
   directory = pathlib.Path(_RUN_DIR.value)
@@ -191,10 +198,13 @@ def main(argv: Sequence[str]) -> None:
     checkpointer.save(*run.loop.state())
     run.policy().save(directory / 'policy')
 
+  def keep() -> None:
+    run.policy().save(directory / 'policies' / str(run.loop.steps))
+
   stop = _Stop()
   logger = _make_logger(directory, run.loop.steps)
   try:
-    run.loop.run(length, logger, save, stop)
+    run.loop.run(length, logger, save, stop, keep)
   finally:
     logger.close()
   print(f'{run.loop.steps:,} steps; the policy is in {directory / "policy"}')

@@ -10,6 +10,7 @@ from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.planner import q_learning
 from dmc_multimode.planner import search
+from dmc_multimode.suite import reaching
 
 PlannerConfig = search.BeamConfig | q_learning.QLearningConfig
 Report = Callable[[int, float, float], None]
@@ -55,9 +56,9 @@ class Solver:
 
   def __init__(
     self,
-    policy: problem_lib.Policy,
+    policy: reaching.Policy,
     make_arena: Callable[[], track_lib.Track],
-    config: problem_lib.ReachingConfig,
+    config: reaching.ReachingConfig,
     planner: PlannerConfig,
     num_threads: int = 0,
   ):
@@ -107,9 +108,9 @@ class Solver:
 
 
 def replay(
-  policy: problem_lib.Policy,
+  policy: reaching.Policy,
   arena: track_lib.Track,
-  config: problem_lib.ReachingConfig,
+  config: reaching.ReachingConfig,
   plan: plan_lib.ModePlan,
 ) -> problem_lib.Trials:
   """Runs a plan in one world, as `Solver` did in the end, bit for bit.

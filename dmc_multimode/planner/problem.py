@@ -5,72 +5,20 @@ to knot, each under a mode of its own, and may let worlds go on from where
 others are. The policy is the only one who sees the robot: a plan is open-loop.
 """
 
-import dataclasses
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track as track_lib
-from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import reference
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite import batched
-from dmc_multimode.suite import config as config_lib
 from dmc_multimode.suite import episodes
 from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite import reaching
 
-_NEAR_X, _NEAR_Z = 0.3, 0.12  # Metres from the goal that count as there.
-_UPRIGHT = 0.7  # Cosine of the trunk's tilt.
 _BLOCK = 16  # Observations that the policy sees at once are a multiple.
-
-
-class Policy(Protocol):
-  """What a problem asks of a policy; `pretrained.Policy` has it."""
-
-  @property
-  def motions(self) -> tuple[reference.ReferenceMotion, ...]:
-    """The modes that it knows."""
-
-  @property
-  def codebook(self) -> codebook_lib.Codebook:
-    """Their latents."""
-
-  @property
-  def config(self) -> config_lib.ImitationConfig:
-    """The task that it was trained for."""
-
-  def select_action(self, observations: np.ndarray) -> np.ndarray:
-    """Joint targets [B, 10] for observations [B, D], without exploration."""
-
-
-@dataclasses.dataclass(frozen=True)
-class ReachingConfig:
-  """What is to be reached, and how a plan is cut up.
-
-  Attributes:
-    goal: of the trunk in the world, metres (x, y, z).
-    knots: of the plan.
-    knot_duration: seconds from knot to knot.
-    seed: of the terrain and of the initial state's noise.
-  """
-
-  goal: tuple[float, float, float] = (2.0, 0.0, 0.5)
-  knots: int = 11
-  knot_duration: float = 0.3
-  seed: int = 0
-
-  def __post_init__(self) -> None:
-    if len(self.goal) != 3 or not np.isfinite(self.goal).all():
-      raise ValueError(f'A goal is x, y and z in metres, got {self.goal}.')
-    if self.knots < 1:
-      raise ValueError(f'A plan has at least one knot, got {self.knots}.')
-    if not (np.isfinite(self.knot_duration) and self.knot_duration > 0):
-      raise ValueError(
-        f'Knots must last longer than 0 s, got {self.knot_duration}.'
-      )
-    if self.seed < 0:
-      raise ValueError(f'seed must not be negative, got {self.seed}.')
 
 
 class Progress(NamedTuple):
@@ -116,9 +64,9 @@ class ReachingProblem:
 
   def __init__(
     self,
-    policy: Policy,
+    policy: reaching.Policy,
     arena: track_lib.Track,
-    config: ReachingConfig,
+    config: reaching.ReachingConfig,
     num_worlds: int,
     num_threads: int = 0,
   ):
@@ -144,59 +92,20 @@ class ReachingProblem:
         policy.codebook,
         episodes.ScheduledEpisodes(schedule_lib.single(np.zeros(1))),
         arena,
-        self._task_config(),
+        reaching.task_config(policy, config),
       ),
       num_worlds,
       config.seed,
       num_threads,
       auto_reset=False,
     )
-    self.knot_steps = self._knot_steps()
+    self.knot_steps = reaching.knot_steps(config, self.control_timestep)
     self.control_steps = 0
     self._alive = np.ones(num_worlds, dtype=bool)
     self._goal = np.array(config.goal)
     self._observation = self._worlds.reset_alike()
     self._start = self._worlds.state()
-    self._check_goal()
-
-  def _task_config(self) -> config_lib.ImitationConfig:
-    """The policy's task without a reference to be lost."""
-    config, task = self.config, self.policy.config
-    limits = task.limits._replace(distance=np.inf, reward=-np.inf)
-    return dataclasses.replace(
-      config_lib.for_evaluation(task),
-      limits=limits,
-      time_limit=max(
-        config.knots * config.knot_duration, task.control_timestep
-      ),
-    )
-
-  def _knot_steps(self) -> int:
-    duration, step = self.config.knot_duration, self._worlds.control_timestep
-    steps = round(duration / step)
-    if steps < 1 or abs(steps * step - duration) > 1e-6:
-      raise ValueError(
-        f'A knot of {duration} s is no multiple of the control step, {step} s.'
-      )
-    return steps
-
-  def _check_goal(self) -> None:
-    terrain = self.terrain
-    used = np.isfinite(terrain.starts)
-    first, last = terrain.starts[used].min(), terrain.ends[used].max()
-    x = self._goal[0]
-    on_top = used & (terrain.starts <= x) & (x <= terrain.ends)
-    if not on_top.any():
-      raise ValueError(
-        f'The goal, x = {x:g} m, is not over the track, which runs from '
-        f'{first:g} to {last:g} m and has gaps.'
-      )
-    top = float(terrain.tops[on_top].max())
-    if not 0 < self._goal[2] - top < 1:
-      raise ValueError(
-        f'The goal, z = {self._goal[2]:g} m, is not where a trunk can be over '
-        f'the ground at {top:g} m.'
-      )
+    reaching.check_goal(config.goal, self.terrain)
 
   @property
   def terrain(self) -> terrain_lib.Terrain:
@@ -236,8 +145,8 @@ class ReachingProblem:
       self.control_steps += self.num_worlds
       self._alive &= step.discount > 0
       path.append(self._worlds.qpos[:, :3].copy())
-      distance = np.linalg.norm(self._goal - path[-1], axis=1)
-      reward += np.where(self._alive, np.exp(-distance), 0.0)
+      worth = reaching.rewards(path[-1], self._goal)
+      reward += np.where(self._alive, worth, 0.0)
     return Progress(reward, np.array(path), self._alive.copy(), self._reached())
 
   def rollout(self, plans: np.ndarray) -> Trials:
@@ -272,14 +181,8 @@ class ReachingProblem:
     return np.concatenate(actions)[: len(seen)]
 
   def _reached(self) -> np.ndarray:
-    """Who stands at the goal, or past it on the same support, [B]."""
-    qpos = self._worlds.qpos
-    x, z = qpos[:, 0], qpos[:, 2]
-    support = self._worlds.core.support
-    same = support(x) == support(np.full_like(x, self._goal[0]))
-    there = np.abs(x - self._goal[0]) <= _NEAR_X
-    there |= (x > self._goal[0]) & same
-    # The third column of the rotation matrix: how upright the trunk is.
-    up = 1 - 2 * (qpos[:, 4] ** 2 + qpos[:, 5] ** 2)
-    level = np.abs(z - self._goal[2]) <= _NEAR_Z
-    return self._alive & there & level & (up > _UPRIGHT)
+    """Who stands at the goal and never fell, [B]."""
+    there = reaching.reached(
+      self._worlds.qpos, self._worlds.core.terrain, self._goal
+    )
+    return self._alive & there

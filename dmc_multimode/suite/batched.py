@@ -93,7 +93,7 @@ class BatchedImitation:
       auto_reset: whether a world that ends begins anew by itself. Without, it
         just runs on, and only its first end is reported.
       privileged: whether observations end with what only a value function may
-        see, `suite.privileged`: D then grows from 33 + n_m to 39 + 2 n_m.
+        see, `suite.privileged`: D then grows from 33 + n_m to 42 + 2 n_m.
     """
     self.config = task.config
     self.episodes = task.episodes
@@ -189,7 +189,7 @@ class BatchedImitation:
     self._total_steps += self.num_worlds
     self.assistance.advance(self.num_worlds)
     self.episodes.advance(self.num_worlds)
-    self._tighten()
+    self._follow_schedules()
     outcome = self.core.advance(self.qpos, self.qvel, self.feet_contact())
     if len(diverged):
       outcome.cause[diverged] = terminations.INVALID
@@ -242,10 +242,11 @@ class BatchedImitation:
     self._move_boxes(np.flatnonzero(np.any(moved, axis=0)))
     return self._observe()
 
-  def _tighten(self) -> None:
-    """Follows the schedule of the bound on the distance."""
-    distance = self.config.distance_after(self._total_steps)
-    self.core.limits = self.core.limits._replace(distance=distance)
+  def _follow_schedules(self) -> None:
+    """Sets what changes along a training: a bound, a share of obstacles."""
+    config, core, steps = self.config, self.core, self._total_steps
+    core.limits = core.limits._replace(distance=config.distance_after(steps))
+    core.obstacle_share = config.obstacle_share_after(steps)
 
   def _bonus(self, outcome: imitation_core.Outcome) -> np.ndarray | float:
     """What a training pays besides Eq. 3, [B]."""
@@ -363,7 +364,7 @@ class BatchedImitation:
     position = self.qpos[:, :3].copy()
     return {
       'position': position,
-      'reference': self.core.tracker.reference().position,
+      'reference': self.core.reference(position[:, 0]).position,
       'support': self.core.support(position[:, 0]),
       'contact': self.feet_contact(),
       'mode': tracked.mode.copy(),
@@ -434,7 +435,7 @@ class BatchedImitation:
     self._random_state.set_state(
       ('MT19937', state['random/keys'], int(position), int(has_gauss), gauss)
     )
-    self._tighten()
+    self._follow_schedules()
     self._move_boxes(np.arange(self.num_worlds))
     return self._observe()
 

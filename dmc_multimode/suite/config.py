@@ -33,6 +33,9 @@ class ImitationConfig:
       stays with less, and then keeps closer to its reference.
     contact_bonus_start, contact_bonus_end: control steps of all worlds together
       between which the weight changes, linearly, from the one to the other.
+    obstacles: share of the commands in a training that meet an obstacle, see
+      `suite.obstacles`.
+    obstacles_start: control steps of all worlds together before there are any.
     reference_starts: share of the episodes that start on the reference at a
       random phase, with the reference's velocity.
     edge_noise: half-width of the uniform noise on the distance to a step that
@@ -56,6 +59,8 @@ class ImitationConfig:
   late_contact_bonus: float = 0.0
   contact_bonus_start: int = 0
   contact_bonus_end: int = 0
+  obstacles: float = 0.0
+  obstacles_start: int = 0
   reference_starts: float = 0.5
   edge_noise: float = 0.04
   joint_noise: float = 0.05
@@ -83,9 +88,13 @@ class ImitationConfig:
         f'contact_bonus_start {self.contact_bonus_start} must not be negative '
         f'nor later than contact_bonus_end {self.contact_bonus_end}.'
       )
-    if not 0 <= self.reference_starts <= 1:
+    for name in ('reference_starts', 'obstacles'):
+      value = getattr(self, name)
+      if not 0 <= value <= 1:
+        raise ValueError(f'{name} is a share in [0, 1], got {value}.')
+    if self.obstacles_start < 0:
       raise ValueError(
-        f'reference_starts is a share in [0, 1], got {self.reference_starts}.'
+        f'obstacles_start must not be negative, got {self.obstacles_start}.'
       )
 
   def distance_after(self, steps: int) -> float:
@@ -113,6 +122,14 @@ class ImitationConfig:
     change = self.late_contact_bonus - self.contact_bonus
     return self.contact_bonus + share * change
 
+  def obstacle_share_after(self, steps: int) -> float:
+    """Share of the commands that meet an obstacle.
+
+    Args:
+      steps: control steps that all worlds of a training made together.
+    """
+    return self.obstacles if steps >= self.obstacles_start else 0.0
+
   @property
   def substeps(self) -> int:
     """Physics steps in a control step."""
@@ -127,8 +144,8 @@ class ImitationConfig:
 def for_evaluation(config: ImitationConfig) -> ImitationConfig:
   """Returns the task without what only serves training.
 
-  Episodes start from rest, edges are in place, nobody helps, no bonus is paid,
-  and the bound on the distance is the final one.
+  Episodes start from rest, edges are in place, no obstacle is met, nobody
+  helps, no bonus is paid, and the bound on the distance is the final one.
   """
   return dataclasses.replace(
     config,
@@ -138,6 +155,7 @@ def for_evaluation(config: ImitationConfig) -> ImitationConfig:
     assist_steps=0,
     contact_bonus=0.0,
     late_contact_bonus=0.0,
+    obstacles=0.0,
   )
 
 

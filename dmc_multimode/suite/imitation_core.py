@@ -22,6 +22,7 @@ from dmc_multimode.suite import config as config_lib
 from dmc_multimode.suite import episodes as episodes_lib
 from dmc_multimode.suite import legs
 from dmc_multimode.suite import observations
+from dmc_multimode.suite import obstacles
 from dmc_multimode.suite import privileged
 from dmc_multimode.suite import rewards
 from dmc_multimode.suite import terminations
@@ -29,6 +30,7 @@ from dmc_multimode.suite import tracking
 
 _SLOWEST_START = 0.5  # Share of the reference's velocity.
 _FOOT_REACH = 0.12  # Metres ahead and behind the trunk that feet may cover.
+_STRIDE = 0.45  # Metres ahead of the trunk where a foot may stand already.
 
 
 class Outcome(NamedTuple):
@@ -80,9 +82,10 @@ class ImitationCore:
     )
     self.terrain = terrain_lib.empty(num_worlds, num_segments)
     self.contact = np.zeros((num_worlds, 2))
-    self._steps = [
-      motion.step if adaptive_terrain else None for motion in motions
-    ]
+    self.obstacle_share = config.obstacle_share_after(0)
+    self._obstacles = obstacles.ObstacleSource(motions)
+    self._adaptive = adaptive_terrain
+    self._steps = [motion.step for motion in motions]
 
   def start(
     self,
@@ -110,7 +113,7 @@ class ImitationCore:
     self.terrain.write(ids, terrain)
     support = terrain_lib.support_height(terrain, np.zeros(count))
     self.tracker.reset(ids, episodes.schedule, phase, support)
-    self._place_steps(ids, episodes.initial, np.zeros(count), random_state)
+    self._prepare_ground(ids, episodes.initial, np.zeros(count), random_state)
     self.contact[ids] = 0.0
     return self._initial_state(ids, on_reference, random_state)
 
@@ -123,6 +126,7 @@ class ImitationCore:
     """Poses the robots of `ids` on their references, with noise."""
     config, count = self.config, len(ids)
     position, orientation, velocity = self.tracker.start_pose(ids)
+    position[:, 2] += self._lifted(position[:, 0], ids)
     # Slower than the reference as well: a flight that falls short teaches what
     # a perfect one, which only a perfect take-off leads to, cannot.
     pace = random_state.uniform(_SLOWEST_START, 1.0, size=count)
@@ -172,9 +176,9 @@ class ImitationCore:
     config = self.config
     self.contact[:] = contact
     self.tracker.advance()
-    reference = self.tracker.reference()
     finite = np.isfinite(qpos).all(axis=1) & np.isfinite(qvel).all(axis=1)
     safe = np.where(finite[:, None], qpos, 0.0)
+    reference = self.reference(safe[:, 0])
     errors = rewards.tracking_errors(
       safe[:, :3],
       observations.heading_frame(
@@ -194,6 +198,31 @@ class ImitationCore:
       errors.position, reward, height, finite, self.limits
     )
     return Outcome(reward, terms, errors, reference, cause)
+
+  def reference(
+    self, x: np.ndarray, ids: np.ndarray | slice = slice(None)
+  ) -> reference_lib.Reference:
+    """Returns the references of the worlds `ids`, over the ground at `x`.
+
+    A motion is made for level ground, or for the one step that it climbs. Where
+    the ground under the trunk is another, the motion is carried up or down with
+    it.
+
+    Args:
+      x: of the trunks, world metres, [N].
+      ids: worlds, [N]; all by default.
+    """
+    reference = self.tracker.reference(ids)
+    reference.position[:, 2] += self._lifted(x, ids)
+    return reference
+
+  def _lifted(
+    self, x: np.ndarray, ids: np.ndarray | slice = slice(None)
+  ) -> np.ndarray:
+    """How much higher the ground at `x` is than motions expect it, [N]."""
+    terrain = terrain_lib.Terrain(*(field[ids] for field in self.terrain))
+    support = terrain_lib.support_height(terrain, x)
+    return support - self.tracker.expected_support(x, ids)
 
   def switch(
     self, qpos: np.ndarray, random_state: np.random.RandomState
@@ -226,9 +255,43 @@ class ImitationCore:
     if not len(ids):
       return ids
     position = qpos[ids, :3]
-    changed = self._place_steps(ids, modes, position[:, 0], random_state)
     support = terrain_lib.support_height(self.terrain.rows(ids), position[:, 0])
     self.tracker.command(ids, modes, position, support)
+    return self._prepare_ground(ids, modes, position[:, 0], random_state)
+
+  def _prepare_ground(
+    self,
+    ids: np.ndarray,
+    modes: np.ndarray,
+    x: np.ndarray,
+    random_state: np.random.RandomState,
+  ) -> np.ndarray:
+    """Puts what the modes that begin in `ids` call for, or are to meet, ahead.
+
+    Args:
+      ids: worlds, [N].
+      modes: the modes that begin, [N].
+      x: of their anchors, metres, [N].
+      random_state: of places and obstacles.
+
+    Returns:
+      The worlds whose terrain changed.
+    """
+    changed = np.zeros(0, dtype=np.int64)
+    if self._adaptive:
+      changed = self._place_steps(ids, modes, x, random_state)
+      if self.obstacle_share:
+        changed = np.union1d(
+          changed, self._place_obstacles(ids, modes, x, random_state)
+        )
+    for mode in np.unique(modes):
+      step = self._steps[mode]
+      if step is not None:
+        mine = modes == mode
+        start, _, _ = terrain_lib.next_segment(
+          self.terrain.rows(ids[mine]), x[mine]
+        )
+        self.tracker.expect_step(ids[mine], start, step.height)
     return changed
 
   def _place_steps(
@@ -261,6 +324,44 @@ class ImitationCore:
       )
       changed.append(ids[mine])
     return np.concatenate(changed) if changed else np.zeros(0, dtype=np.int64)
+
+  def _place_obstacles(
+    self,
+    ids: np.ndarray,
+    modes: np.ndarray,
+    x: np.ndarray,
+    random_state: np.random.RandomState,
+  ) -> np.ndarray:
+    """Puts obstacles ahead of some of `ids`, and level ground of the others.
+
+    Returns:
+      The worlds whose terrain changed.
+    """
+    step, rise, _ = terrain_lib.next_segment(self.terrain.rows(ids), x)
+    made = np.array([s is not None for s in self._steps])[modes]
+    # A step on which a foot may stand already must not vanish under it.
+    free = made | (rise == 0) | (step - x > _STRIDE)
+    ids, modes, x, made = ids[free], modes[free], x[free], made[free]
+    local = self.tracker.bank.sample(modes, self.tracker.state.phase[ids])
+    drawn = self._obstacles.draw(modes, local.position[:, 0], random_state)
+    chosen = random_state.uniform(size=len(ids)) < self.obstacle_share
+    chosen &= np.isfinite(drawn.edge)
+    level = ~chosen & ~made
+    self.terrain.write(
+      ids[level],
+      terrain_lib.levelled(self.terrain.rows(ids[level]), x[level]),
+    )
+    self.terrain.write(
+      ids[chosen],
+      terrain_lib.with_step(
+        self.terrain.rows(ids[chosen]),
+        x[chosen],
+        x[chosen] + drawn.edge[chosen],
+        drawn.height[chosen],
+        drawn.gap[chosen],
+      ),
+    )
+    return ids[level | chosen]
 
   def footing(
     self, reference: reference_lib.Reference, soles: np.ndarray
@@ -316,13 +417,16 @@ class ImitationCore:
       ids: worlds, [N]; all by default.
     """
     countdown, following = self.tracker.upcoming(ids)
+    x = qpos[:, 0]
+    terrain = terrain_lib.Terrain(*(field[ids] for field in self.terrain))
     return privileged.observe(
       qpos[:, :3],
-      self.tracker.reference(ids).position,
+      self.reference(x, ids).position,
       self.tracker.state.heading[ids],
       self.contact[ids],
       countdown,
       following,
+      *terrain_lib.next_segment(terrain, x),
     )
 
 

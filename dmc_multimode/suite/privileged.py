@@ -12,6 +12,7 @@ from typing import Mapping
 import numpy as np
 
 _HORIZON = 1.5  # Seconds: commands later than this matter little.
+_SIGHT = 1.0  # Metres: what is farther ahead matters little.
 
 
 def layout(command_size: int) -> tuple[tuple[str, int], ...]:
@@ -21,6 +22,7 @@ def layout(command_size: int) -> tuple[tuple[str, int], ...]:
     ('contact', 2),
     ('countdown', 1),
     ('next_command', command_size),
+    ('ground_ahead', 3),
   )
 
 
@@ -36,6 +38,9 @@ def observe(
   contact: np.ndarray,
   countdown: np.ndarray,
   next_command: np.ndarray,
+  edge: np.ndarray,
+  rise: np.ndarray,
+  gap: np.ndarray,
 ) -> Mapping[str, np.ndarray]:
   """Returns the parts by name, in the order of `layout`.
 
@@ -45,6 +50,10 @@ def observe(
     contact: feet on the ground (left, right), 0 or 1, [B, 2].
     countdown: seconds until the next command, infinite without one, [B].
     next_command: its latent, [B, n_m].
+    edge: where the next segment of the ground starts, world metres, infinite
+      without one, [B].
+    rise: its height over the ground here, metres, [B].
+    gap: of nothing before it, metres, [B].
   """
   x, y, z = (position - reference).T
   c, s = np.cos(heading), np.sin(heading)
@@ -53,4 +62,14 @@ def observe(
     'contact': contact,
     'countdown': np.minimum(countdown, _HORIZON)[:, None],
     'next_command': next_command,
+    'ground_ahead': _ground_ahead(edge - position[:, 0], rise, gap),
   }
+
+
+def _ground_ahead(
+  distance: np.ndarray, rise: np.ndarray, gap: np.ndarray
+) -> np.ndarray:
+  """Distance, height and gap of what is near; what is far looks level."""
+  near = distance < _SIGHT
+  parts = np.minimum(distance, _SIGHT), near * rise, near * gap
+  return np.stack(parts, axis=-1)

@@ -29,6 +29,9 @@ class Tracked(NamedTuple):
     phase: in [0, 1].
     anchor: origin of the anchor frame, world metres, [B, 3].
     heading: commanded heading, radians.
+    edge: where the step begins that the mode is made for, world metres;
+      infinite without one.
+    rise: height of that step, metres.
   """
 
   schedule_modes: np.ndarray
@@ -40,6 +43,8 @@ class Tracked(NamedTuple):
   phase: np.ndarray
   anchor: np.ndarray
   heading: np.ndarray
+  edge: np.ndarray
+  rise: np.ndarray
 
 
 class ModeTracker:
@@ -86,6 +91,8 @@ class ModeTracker:
       phase=np.zeros(num),
       anchor=np.zeros((num, 3)),
       heading=np.zeros(num),
+      edge=np.full(num, np.inf),
+      rise=np.zeros(num),
     )
 
   def reset(
@@ -123,6 +130,33 @@ class ModeTracker:
     state.anchor[ids] = 0.0
     state.anchor[ids, 2] = support
     state.heading[ids] = 0.0
+    self._forget_step(ids)
+
+  def _forget_step(self, ids: np.ndarray) -> None:
+    self.state.edge[ids], self.state.rise[ids] = np.inf, 0.0
+
+  def expect_step(self, ids: np.ndarray, edge: np.ndarray, rise: float) -> None:
+    """Tells the worlds `ids` which step their modes are about to climb.
+
+    Args:
+      ids: worlds, [N].
+      edge: where it begins, world metres, [N]; infinite if it is nowhere.
+      rise: its height in the motion, metres.
+    """
+    self.state.edge[ids], self.state.rise[ids] = edge, rise
+
+  def expected_support(
+    self, x: np.ndarray, ids: np.ndarray | slice = slice(None)
+  ) -> np.ndarray:
+    """Returns how high the motions expect the ground under `x` to be.
+
+    Args:
+      x: world positions of the worlds `ids`, metres, [N].
+      ids: worlds, [N]; all by default.
+    """
+    state = self.state
+    climbed = x >= state.edge[ids]
+    return state.anchor[ids, 2] + np.where(climbed, state.rise[ids], 0.0)
 
   def advance(self) -> None:
     """Moves every world's clock on by one control step."""
@@ -211,6 +245,7 @@ class ModeTracker:
     state.phase[ids] = 0.0
     state.anchor[ids, :2] = position[:, :2]
     state.anchor[ids, 2] = support
+    self._forget_step(ids)
 
   def reference(
     self, ids: np.ndarray | slice = slice(None)

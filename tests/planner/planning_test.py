@@ -12,14 +12,14 @@ from dmc_multimode.arenas import track
 from dmc_multimode.modes import reference
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import planning
-from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.planner import q_learning
 from dmc_multimode.planner import search
 from dmc_multimode.suite import config as config_lib
 from dmc_multimode.suite import episodes
 from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite import reaching
 
-_CONFIG = problem_lib.ReachingConfig((0.8, 0.0, 0.5), 5, 0.3)
+_CONFIG = reaching.ReachingConfig((0.8, 0.0, 0.5), 5, 0.3)
 _PLANNERS = (
   search.BeamConfig(beams=3),
   q_learning.QLearningConfig(trials=4, episodes=6),

@@ -9,6 +9,7 @@ import pytest
 from dmc_multimode import pretrained
 from dmc_multimode.arenas import track
 from dmc_multimode.planner import problem as problem_lib
+from dmc_multimode.suite import reaching
 
 _IDLE, _WALK = 0, 1
 
@@ -21,7 +22,7 @@ def _policy() -> pretrained.Policy:
 def _problem(
   num_worlds: int, arena: str = 'flat', **changes: Any
 ) -> problem_lib.ReachingProblem:
-  config = problem_lib.ReachingConfig(
+  config = reaching.ReachingConfig(
     **{'goal': (0.5, 0.0, 0.5), 'knots': 4, 'knot_duration': 0.3, **changes}
   )
   return problem_lib.ReachingProblem(

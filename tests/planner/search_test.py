@@ -9,6 +9,7 @@ import pytest
 from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.planner import q_learning
 from dmc_multimode.planner import search
+from dmc_multimode.suite import reaching
 
 # Metres that the modes move: none, a step, a jump.
 _STRIDES = np.array([0.0, 0.2, 0.5])
@@ -19,7 +20,7 @@ class _Toy:
   """A point that steps and jumps along x; stands in for ReachingProblem."""
 
   def __init__(self, num_worlds: int, knots: int = 6, goal: float = 1.6):
-    self.config = problem_lib.ReachingConfig((goal, 0.0, 0.5), knots)
+    self.config = reaching.ReachingConfig((goal, 0.0, 0.5), knots)
     self.num_worlds, self.num_modes = num_worlds, len(_STRIDES)
     self.control_steps = 0
     self.reset()
@@ -106,7 +107,7 @@ def test_beam_search_where_all_fall() -> None:
 @pytest.mark.parametrize('seed', range(3))
 def test_q_learning_finds_a_plan(seed: int) -> None:
   toy: Any = _Toy(5)
-  toy.config = problem_lib.ReachingConfig((1.6, 0.0, 0.5), 6, seed=seed)
+  toy.config = reaching.ReachingConfig((1.6, 0.0, 0.5), 6, seed=seed)
   reports: list[tuple[int, float, float]] = []
   found = q_learning.q_learning(
     toy, q_learning.QLearningConfig(), lambda *row: reports.append(row)

@@ -1,0 +1,114 @@
+"""What stands in the way of a mode while it is practised: pure draws.
+
+A policy that only ever ran on level ground, and found its block where the
+reference has it, trips over everything else. So in a training some commands
+meet an obstacle of the kind that their mode can master: a gap under its flight,
+a block of another height or at another distance, a step down ahead of a gait.
+The policy does not see it; it learns to be ready for it.
+"""
+
+from typing import NamedTuple, Sequence
+
+import numpy as np
+
+from dmc_multimode.modes import reference
+
+_FORWARD = 0.1  # Metres a cycle at least: slower modes meet nothing.
+_FOOTHOLD = 0.15  # Metres ahead of the trunk that stay as they are.
+
+# Of a flight over level ground, metres.
+_GAP_WIDTH = (0.1, 0.45)
+_GAP_SHIFT = (-0.06, 0.06)
+_LANDING_RISE = (-0.15, 0.1)
+_LEVEL_SHARE = 0.5
+# Of a jump onto a block, metres; edges and gaps are before its touch-down.
+_BLOCK_EDGE = (0.2, 0.42)
+_BLOCK_SHARE = (0.0, 1.0)  # Of the height that the mode is made for.
+_BLOCK_GAP = (-0.2, 0.3)
+# Of a gait, metres.
+_STEP_DISTANCE = (0.15, 1.2)
+_STEP_RISE = (-0.2, 0.04)
+
+
+class Obstacles(NamedTuple):
+  """What N robots meet next; all in metres.
+
+  Attributes:
+    edge: where the next segment starts, ahead of the anchor, [N]; infinite
+      where the ground goes on as it is.
+    height: of that segment over the ground here, [N].
+    gap: of nothing before it, [N].
+  """
+
+  edge: np.ndarray
+  height: np.ndarray
+  gap: np.ndarray
+
+
+class ObstacleSource:
+  """Draws obstacles that suit the modes of a set."""
+
+  def __init__(self, motions: Sequence[reference.ReferenceMotion]):
+    """Looks up what the motions can master."""
+    bank = reference.ReferenceBank(motions)
+    self._steps = [motion.step for motion in motions]
+    self._lengths = bank.displacements[:, 0]
+    self._forward = self._lengths > _FORWARD
+    self._flights = np.array([_flight_middle(motion) for motion in motions])
+
+  def draw(
+    self,
+    modes: np.ndarray,
+    ahead: np.ndarray,
+    random_state: np.random.RandomState,
+  ) -> Obstacles:
+    """Returns obstacles for N robots whose modes begin.
+
+    Args:
+      modes: their modes, [N].
+      ahead: how far from the anchor they are in these already, metres, [N].
+      random_state: source of sizes and places.
+    """
+    count = len(modes)
+    uniform = lambda bounds: random_state.uniform(bounds[0], bounds[1], count)
+    gait = Obstacles(
+      ahead + uniform(_STEP_DISTANCE), uniform(_STEP_RISE), np.zeros(count)
+    )
+    width = uniform(_GAP_WIDTH)
+    cycle = np.maximum(random_state.randint(2, size=count), ahead > 0)
+    middle = self._flights[modes] + cycle * self._lengths[modes]
+    level = random_state.uniform(size=count) < _LEVEL_SHARE
+    flight = Obstacles(
+      middle + width / 2 + uniform(_GAP_SHIFT),
+      np.where(level, 0.0, uniform(_LANDING_RISE)),
+      width,
+    )
+    edge, share = uniform(_BLOCK_EDGE), uniform(_BLOCK_SHARE)
+    rises = np.array([s.height if s else 0.0 for s in self._steps])[modes]
+    block = Obstacles(
+      edge, share * rises, np.clip(uniform(_BLOCK_GAP), 0.0, edge - _FOOTHOLD)
+    )
+    stepping = np.array([step is not None for step in self._steps])[modes]
+    flying = self._forward[modes] & np.isfinite(self._flights[modes])
+    walking = self._forward[modes] & ~flying
+    nothing = Obstacles(
+      np.full(count, np.inf), np.zeros(count), np.zeros(count)
+    )
+    kinds = [stepping, flying, walking]
+    return Obstacles(
+      *(
+        np.select(kinds, [a, b, c], d)
+        for a, b, c, d in zip(block, flight, gait, nothing, strict=True)
+      )
+    )
+
+
+def _flight_middle(motion: reference.ReferenceMotion) -> float:
+  """Where, in metres ahead of the anchor, a flight is half over; else nan."""
+  if motion.contacts is None:
+    return np.nan
+  airborne = np.flatnonzero(~motion.contacts.any(axis=1))
+  if not len(airborne):
+    return np.nan
+  last = min(airborne[-1] + 1, len(motion.phases) - 1)
+  return float(motion.positions[[airborne[0], last], 0].mean())
