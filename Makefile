@@ -1,7 +1,8 @@
 # `make demo` and `make test` do all set-up themselves on a fresh Debian
 # machine. Set-up happens once and again when setup.cfg changes.
 #
-#   make demo    record the shipped pi2: out/demo.mp4
+#   make demo    record the shipped pi2, and a plan of it across a gap and
+#                onto a block: out/modes.mp4, out/demo.mp4, out/plan.png
 #   make test    lint, format, types and every test
 #   make train   train the quickstart policy into runs/quickstart
 #   make lint    lint, format and types alone
@@ -21,7 +22,7 @@ PYTEST_ARGS ?=
 TRAIN_ARGS ?=
 VENV := .venv
 BIN := $(VENV)/bin
-DEMO := out/demo.mp4
+OUT := out
 # Walk, leap, onto the block that launch calls for, leap on top, stand.
 SCHEDULE := walk_forward:2.4,leap_forward:2.4,launch:2,leap_forward:2.4,idle:2
 
@@ -36,10 +37,16 @@ apt = sudo=; [ "$$(id -u)" = 0 ] || sudo="sudo -n"; \
     --no-install-recommends -o DPkg::Lock::Timeout=120 $(1) </dev/null
 
 demo: setup
-	mkdir -p $(dir $(DEMO))
+	mkdir -p $(OUT)
 	$(BIN)/python -m dmc_multimode.bin.record --policy=pi2 \
-	  --schedule=$(SCHEDULE) --arena=flat --out=$(DEMO)
-	@echo "The video is $(CURDIR)/$(DEMO)"
+	  --schedule=$(SCHEDULE) --arena=flat --out=$(OUT)/modes.mp4
+	$(BIN)/python -m dmc_multimode.bin.plan --policy=pi2 \
+	  --flagfile=flags/plan_gap_block.flags --out=$(OUT)/plan.json \
+	  --figure=$(OUT)/plan.png
+	$(BIN)/python -m dmc_multimode.bin.record --policy=pi2 \
+	  --plan=$(OUT)/plan.json --out=$(OUT)/demo.mp4
+	@echo "The videos are modes.mp4 and demo.mp4, the plan is plan.json and" \
+	  "plan.png, all in $(CURDIR)/$(OUT)"
 
 test: lint
 	$(BIN)/python -m pytest $(PYTEST_ARGS)

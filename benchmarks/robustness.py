@@ -5,8 +5,10 @@
 Everything is judged by the code of `dmc_multimode.bin.evaluate`, each case
 apart: the physics in finer steps than in training; the edges of blocks nearer
 or farther than the references have them; all masses and inertias, or all
-sliding friction, higher or lower; and pushes, which change the trunk's velocity
-by 0.3 m/s in a random horizontal direction once a second.
+sliding friction, higher or lower; pushes, which change the trunk's velocity by
+0.3 m/s in a random horizontal direction once a second; and obstacles, which
+every command meets that can: gaps under leaps, other blocks, steps ahead of
+gaits.
 """
 
 import dataclasses

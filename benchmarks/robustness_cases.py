@@ -27,6 +27,8 @@ class Case:
     mass: factor of all masses and inertias.
     friction: factor of all sliding friction.
     push: change of the trunk's velocity once a second, m/s.
+    obstacles: share of the commands that meet an obstacle, see
+      `suite.obstacles`.
   """
 
   physics_timestep: float | None = None
@@ -34,6 +36,7 @@ class Case:
   mass: float = 1.0
   friction: float = 1.0
   push: float = 0.0
+  obstacles: float = 0.0
 
 
 CASES: Mapping[str, Case] = {
@@ -48,6 +51,7 @@ CASES: Mapping[str, Case] = {
   'friction -10 %': Case(friction=0.9),
   'friction +10 %': Case(friction=1.1),
   'pushes': Case(push=0.3),
+  'obstacles': Case(obstacles=1.0),
 }
 
 
@@ -70,7 +74,7 @@ class Worlds(batched.BatchedImitation):
       tuple(_with_edge(motion, case.edge) for motion in policy.motions),
       policy.codebook,
       episodes_lib.ScheduledEpisodes(schedule),
-      config=config,
+      config=dataclasses.replace(config, obstacles=case.obstacles),
     )
     super().__init__(task, len(schedule), seed, auto_reset=False)
 

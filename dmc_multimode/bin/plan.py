@@ -1,7 +1,14 @@
 r"""Plans a way across a track: which mode to command when.
 
-python -m dmc_multimode.bin.plan --flagfile=flags/plan_gap.flags \
-  --policy=pi2 --out=plan.json --figure=plan.png
+  python -m dmc_multimode.bin.plan --flagfile=flags/plan_gap.flags \
+    --policy=pi2 --out=plan.json --figure=plan.png
+
+A plan is open-loop: with pushes that the planner does not know of, it leads
+elsewhere. With --replan_every the planner runs again on the way, from where the
+robot then is, and what is written are the modes that were commanded:
+
+  python -m dmc_multimode.bin.plan --flagfile=flags/plan_gap_block.flags \
+    --policy=pi2 --push=0.6:-0.5 --replan_every=2 --out=plan.json
 """
 
 import json
@@ -23,7 +30,9 @@ from dmc_multimode.bin import outputs
 from dmc_multimode.bin import plan_figures
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import planning
+from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.planner import q_learning
+from dmc_multimode.planner import replanning
 from dmc_multimode.planner import search
 from dmc_multimode.suite import reaching
 
@@ -44,6 +53,12 @@ _DT = flags.DEFINE_float('dt', 0.15, 'Seconds from knot to knot.')
 _SEED = flags.DEFINE_integer('seed', 0, 'Of a random track, and the planner.')
 _PLANNER = flags.DEFINE_enum(
   'planner', 'beam', ['beam', 'q_learning'], 'Which planner.'
+)
+_REPLAN_EVERY = flags.DEFINE_integer(
+  'replan_every', 0, 'Knots after which to plan again; 0 for never.'
+)
+_PUSH = flags.DEFINE_list(
+  'push', [], 'What pushes the robot, m/s: SECONDS:VX or SECONDS:VX:VY, ...'
 )
 _THREADS = flags.DEFINE_integer(
   'threads', 0, 'Of the physics; 0 for every core.', lower_bound=0
@@ -84,10 +99,32 @@ def read_sizes() -> dict[str, float]:
   return sizes
 
 
+def read_pushes(
+  config: reaching.ReachingConfig,
+) -> tuple[pushes_lib.Push, ...]:
+  """Returns the pushes that --push gives; all are at knots of the problem."""
+  try:
+    pushes = tuple(pushes_lib.parse(item) for item in _PUSH.value)
+    pushes_lib.by_knot(pushes, config.knots, config.knot_duration)
+  except ValueError as error:
+    raise ValueError(f'--push: {error}') from error
+  return pushes
+
+
+def read_replan_every() -> int:
+  """Returns --replan_every."""
+  if _REPLAN_EVERY.value < 0:
+    raise ValueError(
+      f'--replan_every must not be negative, got {_REPLAN_EVERY.value}.'
+    )
+  return _REPLAN_EVERY.value
+
+
 def describe(
   found: planning.Found,
   config: reaching.ReachingConfig,
   sizes: dict[str, float],
+  pushes: Sequence[pushes_lib.Push],
 ) -> dict[str, Any]:
   """Returns what is written to --out."""
   return {
@@ -102,6 +139,8 @@ def describe(
     'arena': _ARENA.value,
     'sizes': sizes,
     'seed': config.seed,
+    'pushes': pushes_lib.to_list(pushes),
+    'replan_every': _REPLAN_EVERY.value,
     'planner': _PLANNER.value,
     'policy': _POLICY.value,
   }
@@ -111,21 +150,27 @@ def _solve(
   policy: pretrained.Policy,
   make_arena: Callable[[], track.Track],
   config: reaching.ReachingConfig,
+  pushes: Sequence[pushes_lib.Push],
+  replan_every: int,
 ) -> planning.Found:
-  """Plans under a progress bar."""
+  """Plans under a progress bar, which begins anew with every search."""
   planner = config_flags.read(_PLANNERS[_PLANNER.value], _PLANNER.value)
   solver = planning.Solver(policy, make_arena, config, planner, _THREADS.value)
-  if isinstance(planner, search.BeamConfig):
-    bar = tqdm.tqdm(total=config.knots, unit='knot')
-  else:
-    bar = tqdm.tqdm(total=planner.episodes, unit='episode')
+  is_beam = isinstance(planner, search.BeamConfig)
+  bar = tqdm.tqdm(unit='knot' if is_beam else 'episode')
 
-  def report(done: int, best: float, distance: float) -> None:
-    bar.set_postfix_str(f'return {best:.1f}, {distance:.2f} m to go')
-    bar.update(done - bar.n)
+  def report(status: planning.Status) -> None:
+    if status.done <= bar.n:
+      bar.reset()
+    bar.total = status.total
+    bar.set_description(status.search, refresh=False)
+    bar.set_postfix_str(
+      f'return {status.best:.1f}, {status.distance:.2f} m to go', refresh=False
+    )
+    bar.update(status.done - bar.n)
 
   with bar:
-    return solver.solve(report)
+    return replanning.solve(solver, pushes, replan_every, report)
 
 
 def _print(found: planning.Found) -> None:
@@ -145,20 +190,21 @@ def main(argv: Sequence[str]) -> int:
   out = outputs.file('out', _OUT.value)
   figure = outputs.file('figure', _FIGURE.value)
   config, sizes = read_config(), read_sizes()
+  pushes, replan_every = read_pushes(config), read_replan_every()
   make_arena = lambda: track.make(_ARENA.value, sizes=sizes)
   terrain = make_arena().generate(np.random.RandomState(config.seed))
   policy = pretrained.load(_POLICY.value)
   torch.set_num_threads(1)  # Batches are small; the physics has the cores.
-  found = _solve(policy, make_arena, config)
+  found = _solve(policy, make_arena, config, pushes, replan_every)
   _print(found)
   if out:
     out.parent.mkdir(parents=True, exist_ok=True)
-    values = describe(found, config, sizes)
+    values = describe(found, config, sizes, pushes)
     atomic.write(out, json.dumps(values, indent=1).encode())
     print(f'The plan is in {out}')
   if figure:
     step = policy.config.control_timestep
-    drawn = plan_figures.draw(found.plan, found.path, step, terrain)
+    drawn = plan_figures.draw(found.plan, found.path, step, terrain, pushes)
     figures.save(figure, drawn)
     print(f'The figure is in {figure}')
   return 0 if found.success else app.EXIT_UNSOLVED

@@ -1,6 +1,6 @@
 """The paper's figure of a plan: modes and height over time, and a side view."""
 
-from typing import Any
+from typing import Any, Sequence
 
 import matplotlib.figure
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.bin import figures
 from dmc_multimode.planner import plan as plan_lib
+from dmc_multimode.planner import pushes as pushes_lib
 
 _MARGIN = 0.5  # Metres of track before and after the path.
 _DEPTH = 0.1  # Metres of ground that are shown below the lowest.
@@ -18,6 +19,7 @@ def draw(
   path: np.ndarray,
   timestep: float,
   terrain: terrain_lib.Terrain,
+  pushes: Sequence[pushes_lib.Push] = (),
 ) -> matplotlib.figure.Figure:
   """Draws a plan and where it led to.
 
@@ -26,9 +28,12 @@ def draw(
     path: of the trunk after every control step, world metres, [T, 3].
     timestep: seconds of a control step.
     terrain: that it crosses, a batch of one.
+    pushes: that the robot met, drawn where they happened in time.
   """
   drawn, axes = figures.empty(2, 1, 8.0, 2.6)
   _draw_time(axes[0, 0], plan, path, timestep, terrain)
+  for push in pushes:
+    axes[0, 0].axvline(push.time, color='C1', linestyle='--')
   _draw_side(axes[1, 0], path, terrain)
   return drawn
 

@@ -31,7 +31,7 @@ _ARENA = flags.DEFINE_string(
   'arena', 'flat', 'flat, gap, plateau, block, gap_block or parkour.'
 )
 _PLAN = flags.DEFINE_string(
-  'plan', None, 'A file that `plan` wrote; says schedule, arena and seed.'
+  'plan', None, 'A file that `plan` wrote; says schedule, arena, seed, pushes.'
 )
 _OUT = flags.DEFINE_string('out', None, 'The video to write, an .mp4 file.')
 _CAMERA = flags.DEFINE_string(

@@ -13,6 +13,8 @@ from dmc_multimode.bin import rollout as rollout_lib
 from dmc_multimode.bin import scene
 from dmc_multimode.bin import video
 
+_SHOWN = 0.6  # Seconds for which a push is written into the frames.
+
 
 @dataclasses.dataclass(frozen=True)
 class RecordingConfig:
@@ -101,6 +103,11 @@ class Captions:
     """Returns the frame of a step with its caption, uint8 [H, W, 3]."""
     if step.cause != 'none' and not self._warning:
       self._warning = f'failed at {step.time:.2f} s: {step.cause}'
+    pushes = tuple(
+      f'pushed by ({push.velocity[0]:g}, {push.velocity[1]:g}) m/s'
+      for push in self._rollout.pushes
+      if 0 < step.time - push.time <= _SHOWN
+    )
     caption = overlay.Caption(
       self._names.index(step.mode),
       step.mode,
@@ -109,6 +116,7 @@ class Captions:
         f'height {step.height:.2f} m',
         f'speed {step.speed:.2f} m/s',
         f'reward {step.reward:.2f}',
+        *pushes,
       ),
       self._warning,
     )

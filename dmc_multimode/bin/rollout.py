@@ -5,12 +5,14 @@ import dataclasses
 from typing import Any, Iterator, Mapping, NamedTuple, Sequence
 
 from dm_control import composer
+import dm_env
 import numpy as np
 
 from dmc_multimode import pretrained
 from dmc_multimode.arenas import track
 from dmc_multimode.modes import reference
 from dmc_multimode.modes import schedule as schedule_lib
+from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.suite import config as config_lib
 from dmc_multimode.suite import episodes
 from dmc_multimode.suite import multimode_biped
@@ -32,6 +34,7 @@ class RolloutConfig:
     sizes: of the track, metres, where they are not its defaults.
     clock_rate: rate of the phase clock, 1 being the references' own.
     seed: of the terrain and of the initial state's noise.
+    pushes: that the robot meets.
     physics_timestep: seconds; the policy's own if None.
     terminate: whether the roll-out ends where an episode would.
   """
@@ -42,6 +45,7 @@ class RolloutConfig:
   sizes: Mapping[str, float] = dataclasses.field(default_factory=dict)
   clock_rate: float = 1.0
   seed: int = 0
+  pushes: tuple[pushes_lib.Push, ...] = ()
   physics_timestep: float | None = None
   terminate: bool = False
 
@@ -135,6 +139,11 @@ class Rollout:
     return self.task.config.horizon
 
   @property
+  def pushes(self) -> tuple[pushes_lib.Push, ...]:
+    """What the robot meets."""
+    return self._config.pushes
+
+  @property
   def ends(self) -> np.ndarray:
     """When each command ends, as shares of the whole, rising to 1."""
     durations = np.cumsum(self._config.durations)
@@ -160,7 +169,8 @@ class Rollout:
     timestep, state = self._first, self.task.core.tracker.state
     window = max(1, round(_SPEED_WINDOW / self.task.config.control_timestep))
     path = collections.deque([self._position()], window + 1)
-    for _ in range(self.num_steps):
+    for step in range(self.num_steps):
+      timestep = self._pushed(timestep, step)
       command, floor = int(state.knot[0]), float(state.anchor[0, 2])
       action = self._policy.actor.select_action(timestep.observation)
       timestep = self._environment.step(action)
@@ -170,6 +180,25 @@ class Rollout:
       yield self._step(command, floor, path)
       if timestep.last():
         return
+
+  def _pushed(self, timestep: dm_env.TimeStep, step: int) -> dm_env.TimeStep:
+    """Carries out the pushes that are due; returns what is seen after them."""
+    period = self.task.config.control_timestep
+    physics = self._environment.physics
+    velocities = [
+      push.velocity
+      for push in self._config.pushes
+      if round(push.time / period) == step
+    ]
+    if not velocities:
+      return timestep
+    physics.data.qvel[:3] += np.sum(velocities, axis=0)
+    physics.forward()
+    parts = self.task.core.observe(
+      physics.data.qpos[None], physics.data.qvel[None]
+    )
+    seen = {name: parts[name][0] for name in timestep.observation}
+    return timestep._replace(observation=seen)
 
   def _position(self) -> np.ndarray:
     return self._environment.physics.data.qpos[:3].copy()

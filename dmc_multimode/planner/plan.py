@@ -10,6 +10,7 @@ import numpy as np
 
 from dmc_multimode.modes import reference
 from dmc_multimode.modes import schedule as schedule_lib
+from dmc_multimode.planner import pushes as pushes_lib
 
 _MAX_BYTES = 1 << 20  # Larger files are no plans.
 _MAX_KNOTS = 10_000
@@ -80,21 +81,25 @@ class ModePlan:
 
 
 class Course(NamedTuple):
-  """What a plan was made for.
+  """What a plan was made for, and what happened on the way.
 
   Attributes:
     arena: name of the track.
     sizes: of the track, metres, where they are not its defaults.
     seed: of the track, if it is random.
+    pushes: that the robot met.
   """
 
   arena: str
   sizes: Mapping[str, float]
   seed: int
+  pushes: tuple[pushes_lib.Push, ...] = ()
 
 
 def from_indices(
-  indices: Sequence[int], names: Sequence[str], knot_duration: float
+  indices: Sequence[int] | np.ndarray,
+  names: Sequence[str],
+  knot_duration: float,
 ) -> ModePlan:
   """Returns the plan of mode indices into `names`."""
   return ModePlan(tuple(names[int(i)] for i in indices), knot_duration)
@@ -131,12 +136,13 @@ def from_dict(values: Mapping[str, Any]) -> ModePlan:
 
 
 def course(values: Mapping[str, Any]) -> Course:
-  """Returns what the content of a plan file says about its track.
+  """Returns what the content of a plan file says about its track and pushes.
 
   Raises:
-    ValueError: something is missing or of the wrong kind.
+    ValueError: something is missing or of the wrong kind, or a push is not at
+      one of the plan's knots.
   """
-  arena, sizes, seed = (values.get(key) for key in Course._fields)
+  arena, sizes, seed = (values.get(key) for key in ('arena', 'sizes', 'seed'))
   if (
     not isinstance(arena, str)
     or not isinstance(sizes, dict)
@@ -145,7 +151,10 @@ def course(values: Mapping[str, Any]) -> Course:
     or seed < 0
   ):
     raise ValueError('The plan does not say for which arena, sizes and seed.')
-  return Course(arena, sizes, seed)
+  plan = from_dict(values)
+  pushes = pushes_lib.from_list(values.get('pushes', []))
+  pushes_lib.by_knot(pushes, len(plan.modes), plan.knot_duration)
+  return Course(arena, sizes, seed, pushes)
 
 
 def read(path: pathlib.Path) -> dict[str, Any]:

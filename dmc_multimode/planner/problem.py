@@ -3,9 +3,10 @@
 All worlds of a problem begin in the same state. A planner runs them from knot
 to knot, each under a mode of its own, and may let worlds go on from where
 others are. The policy is the only one who sees the robot: a plan is open-loop.
+Robots that have fallen lie where they fell.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, Sequence
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track as track_lib
 from dmc_multimode.modes import reference
 from dmc_multimode.modes import schedule as schedule_lib
+from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.suite import batched
 from dmc_multimode.suite import episodes
 from dmc_multimode.suite import multimode_biped
@@ -49,14 +51,41 @@ class Trials(NamedTuple):
   Attributes:
     returns: sums of the knots' rewards, [N].
     position: of the trunk in the end, metres, [N, 3].
+    alive: whether the robot never fell, [N].
     success: whether the goal is reached in the end, without a fall, [N].
     paths: of the trunk after every control step, metres, [N, T, 3].
   """
 
   returns: np.ndarray
   position: np.ndarray
+  alive: np.ndarray
   success: np.ndarray
   paths: np.ndarray
+
+
+def trials(knots: Sequence[Progress]) -> Trials:
+  """Returns what knots, one after another, amount to."""
+  return Trials(
+    np.sum([knot.reward for knot in knots], axis=0),
+    knots[-1].position,
+    knots[-1].alive,
+    knots[-1].reached,
+    np.concatenate([knot.path for knot in knots]).swapaxes(0, 1),
+  )
+
+
+class _Start(NamedTuple):
+  """What `ReachingProblem.reset` returns to.
+
+  Attributes:
+    worlds: their state.
+    knot: of the whole plan.
+    alive: whether each robot has never fallen, [B].
+  """
+
+  worlds: dict[str, np.ndarray]
+  knot: int
+  alive: np.ndarray
 
 
 class ReachingProblem:
@@ -69,6 +98,7 @@ class ReachingProblem:
     config: reaching.ReachingConfig,
     num_worlds: int,
     num_threads: int = 0,
+    pushes: Sequence[pushes_lib.Push] = (),
   ):
     """Compiles the worlds and puts the robots at the start.
 
@@ -78,10 +108,11 @@ class ReachingProblem:
       config: goal and knots.
       num_worlds: B.
       num_threads: of the physics; 0 takes every core.
+      pushes: that all robots meet, at knots, right after the mode is chosen.
 
     Raises:
-      ValueError: a knot is no whole number of control steps, or the goal is not
-        over the track.
+      ValueError: a knot is no whole number of control steps, the goal is not
+        over the track, or a push is not at a knot.
     """
     self.policy, self.config = policy, config
     self.bank = reference.ReferenceBank(policy.motions)
@@ -100,11 +131,15 @@ class ReachingProblem:
       auto_reset=False,
     )
     self.knot_steps = reaching.knot_steps(config, self.control_timestep)
+    self._pushes = pushes_lib.by_knot(
+      pushes, config.knots, config.knot_duration
+    )
     self.control_steps = 0
-    self._alive = np.ones(num_worlds, dtype=bool)
     self._goal = np.array(config.goal)
     self._observation = self._worlds.reset_alike()
-    self._start = self._worlds.state()
+    alive = np.ones(num_worlds, dtype=bool)
+    self._start = _Start(self._worlds.state(), 0, alive)
+    self._knot, self._alive = 0, alive.copy()
     reaching.check_goal(config.goal, self.terrain)
 
   @property
@@ -117,10 +152,39 @@ class ReachingProblem:
     """Seconds of a control step."""
     return self._worlds.control_timestep
 
+  @property
+  def knots(self) -> int:
+    """Of a plan from the start that `reset` returns to."""
+    return self.config.knots - self._start.knot
+
+  @property
+  def remaining(self) -> int:
+    """Knots that are left from where the worlds are."""
+    return self.config.knots - self._knot
+
+  @property
+  def alive(self) -> np.ndarray:
+    """Whether each robot has never fallen, [B]."""
+    return self._alive.copy()
+
+  def begin_at(self, other: 'ReachingProblem') -> None:
+    """Begins, now and after each `reset`, where another problem is.
+
+    Args:
+      other: on the same track, with the same knots; its first world counts.
+
+    Raises:
+      ValueError: it is of another task.
+    """
+    self._worlds.adopt(other._worlds)
+    alive = np.repeat(other._alive[:1], self.num_worlds)
+    self._start = _Start(self._worlds.state(), other._knot, alive)
+    self.reset()
+
   def reset(self) -> None:
     """Puts all worlds back to the start."""
-    self._observation = self._worlds.restore(self._start)
-    self._alive[:] = True
+    self._observation = self._worlds.restore(self._start.worlds)
+    self._knot, self._alive = self._start.knot, self._start.alive.copy()
 
   def take(self, sources: np.ndarray) -> None:
     """Lets every world go on from where another is.
@@ -137,17 +201,34 @@ class ReachingProblem:
     Args:
       modes: index of the mode that each world commands, [B].
     """
+    if self._knot in self._pushes:
+      self._worlds.qvel[:, :3] += self._pushes[self._knot]
+    self._knot += 1
     self._observation = self._worlds.command(np.asarray(modes))
     reward, path = np.zeros(self.num_worlds), []
     for _ in range(self.knot_steps):
-      step = self._worlds.step(self._act())
-      self._observation = step.observation
-      self.control_steps += self.num_worlds
-      self._alive &= step.discount > 0
-      path.append(self._worlds.qpos[:, :3].copy())
+      path.append(self._step())
       worth = reaching.rewards(path[-1], self._goal)
       reward += np.where(self._alive, worth, 0.0)
     return Progress(reward, np.array(path), self._alive.copy(), self._reached())
+
+  def _step(self) -> np.ndarray:
+    """Makes a control step; returns the positions of the trunks, [B, 3].
+
+    A robot that falls stays where it is: it would tumble on until its state is
+    no longer finite. One whose state is so at once stays where it was.
+    """
+    if self._alive.any():
+      state = self._worlds.batch.state
+      before = state.copy()
+      self._worlds.moving[:] = self._alive
+      self.control_steps += int(self._alive.sum())
+      step = self._worlds.step(self._act())
+      self._observation = step.observation
+      self._alive &= step.discount > 0
+      diverged = ~np.isfinite(state).all(axis=1)
+      state[diverged] = before[diverged]
+    return self._worlds.qpos[:, :3].copy()
 
   def rollout(self, plans: np.ndarray) -> Trials:
     """Runs whole plans from the start, as many as there are worlds.
@@ -156,13 +237,7 @@ class ReachingProblem:
       plans: mode indices, [B, K].
     """
     self.reset()
-    knots = [self.run_knot(modes) for modes in np.asarray(plans).T]
-    return Trials(
-      np.sum([knot.reward for knot in knots], axis=0),
-      knots[-1].position,
-      knots[-1].reached,
-      np.concatenate([knot.path for knot in knots]).swapaxes(0, 1),
-    )
+    return trials([self.run_knot(modes) for modes in np.asarray(plans).T])
 
   def _act(self) -> np.ndarray:
     """Acts with batches of one size, so that a world's action is its own.

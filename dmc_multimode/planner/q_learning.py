@@ -110,7 +110,7 @@ def q_learning(
   Raises:
     ValueError: the problem has another number of worlds.
   """
-  trials, knots = config.trials, problem.config.knots
+  trials, knots = config.trials, problem.knots
   if problem.num_worlds != trials:
     raise ValueError(
       f'{trials} trials need as many worlds, not {problem.num_worlds}.'

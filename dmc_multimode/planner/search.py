@@ -32,13 +32,61 @@ class BeamConfig:
 
   Attributes:
     beams: states that are kept at each knot.
+    attempts: searches until one finds a plan that succeeds, each with twice the
+      beams of the one before.
   """
 
   beams: int = 24
+  attempts: int = 3
 
   def __post_init__(self) -> None:
-    if self.beams < 1:
-      raise ValueError(f'beams must be positive, got {self.beams}.')
+    for name in ('beams', 'attempts'):
+      if getattr(self, name) < 1:
+        raise ValueError(f'{name} must be positive, got {getattr(self, name)}.')
+
+  def escalation(self) -> 'list[BeamConfig]':
+    """Returns the attempts, each a single one."""
+    return [BeamConfig(self.beams << i, 1) for i in range(self.attempts)]
+
+
+class _Front:
+  """Plans that are followed side by side, one a world; W = beams x modes."""
+
+  def __init__(self, beams: int, modes: int):
+    """Begins with empty plans, each world to command the next mode in turn."""
+    self._beams, self._modes = beams, modes
+    self.commands = np.tile(np.arange(modes), beams)  # [W]
+    self._parents = np.arange(beams * modes)
+    self._plans = np.zeros((beams * modes, 0), dtype=np.int64)
+    self.returns = np.zeros(beams * modes)
+    # All begin alike: at first only one beam is worth following.
+    self.distinct = np.arange(beams * modes) < modes
+
+  def extend(self, reward: np.ndarray) -> None:
+    """Adds what was commanded, and what it earned, [W], to the plans."""
+    grown = self._plans[self._parents], self.commands[:, None]
+    self._plans = np.concatenate(grown, axis=1)
+    self.returns = self.returns[self._parents] + reward
+
+  def branch(self, kept: np.ndarray) -> np.ndarray:
+    """Goes on from the worlds `kept`; returns whom each takes after, [W]."""
+    self._parents = np.repeat(np.resize(kept, self._beams), self._modes)
+    self.distinct = np.arange(len(self.commands)) < len(kept) * self._modes
+    return self._parents
+
+  def solution(self, progress: problem_lib.Progress, knots: int) -> Solution:
+    """Returns the plans, padded to `knots`, after the last knot's progress."""
+    missing = knots - self._plans.shape[1]
+    success = progress.reached & self.distinct & (missing == 0)
+    order = np.lexsort((-self.returns, ~progress.alive, ~success))
+    order = order[self.distinct[order]]
+    plans = np.pad(self._plans, ((0, 0), (0, missing)))
+    return Solution(
+      plans[order],
+      self.returns[order],
+      success[order],
+      len(self.commands) * knots,
+    )
 
 
 def beam_search(
@@ -54,49 +102,34 @@ def beam_search(
 
   Args:
     problem: of `config.beams` times the number of modes worlds.
-    config: how many to keep.
+    config: how many to keep; this is one attempt.
     report: is told the knot, the best return, and the least distance from the
       goal along x.
 
   Raises:
     ValueError: the problem has another number of worlds.
   """
-  beams, modes = config.beams, problem.num_modes
+  beams, modes, knots = config.beams, problem.num_modes, problem.knots
   if problem.num_worlds != beams * modes:
     raise ValueError(
       f'{beams} beams of {modes} modes need {beams * modes} worlds, the '
       f'problem has {problem.num_worlds}.'
     )
-  knots = problem.config.knots
+  front = _Front(beams, modes)
   problem.reset()
-  commands = np.tile(np.arange(modes), beams)
-  parents = np.zeros(beams * modes, dtype=np.int64)
-  plans = np.zeros((beams * modes, 0), dtype=np.int64)
-  returns = np.zeros(beams * modes)
-  # All begin alike: at first only one beam is worth following.
-  distinct = np.arange(beams * modes) < modes
   for knot in range(knots):
-    progress = problem.run_knot(commands)
-    plans = np.concatenate([plans[parents], commands[:, None]], axis=1)
-    returns = returns[parents] + progress.reward
-    worth = distinct & progress.alive
+    progress = problem.run_knot(front.commands)
+    front.extend(progress.reward)
+    worth = front.distinct & progress.alive
     if not worth.any():
       break
-    report(knot + 1, float(returns[worth].max()), _nearest(problem, progress))
-    if knot == knots - 1:
-      break
-    kept = _select(progress.position[:, 0], commands, returns, worth, beams)
-    parents = np.repeat(np.resize(kept, beams), modes)
-    distinct = np.arange(beams * modes) < len(kept) * modes
-    problem.take(parents)
-  finished = plans.shape[1] == knots
-  success = progress.reached & distinct & finished
-  order = np.lexsort((-returns, ~progress.alive, ~success))
-  order = order[distinct[order]]
-  plans = np.pad(plans, ((0, 0), (0, knots - plans.shape[1])))
-  return Solution(
-    plans[order], returns[order], success[order], beams * modes * knots
-  )
+    best = float(front.returns[worth].max())
+    report(knot + 1, best, _nearest(problem, progress))
+    if knot < knots - 1:
+      x = progress.position[:, 0]
+      kept = _select(x, front.commands, front.returns, worth, beams)
+      problem.take(front.branch(kept))
+  return front.solution(progress, knots)
 
 
 def _nearest(

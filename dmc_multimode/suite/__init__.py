@@ -5,12 +5,16 @@
 
 Importing this module registers the domain, so that afterwards
 `dm_control.suite.load('multimode_biped', 'walk_forward')` works as well.
+
+The actions of most tasks are joint targets; those of the tasks `reach_*` are
+modes, each commanded for a fraction of a second, and a trained policy is inside
+(see `reaching_env`).
 """
 
 from typing import Any, Mapping
 
-from dm_control import composer
 from dm_control import suite as dm_suite
+import dm_env
 
 from dmc_multimode.suite import multimode_biped
 
@@ -35,13 +39,14 @@ def load(
   task_kwargs: Mapping[str, Any] | None = None,
   environment_kwargs: Mapping[str, Any] | None = None,
   visualize_reward: bool = False,
-) -> composer.Environment:
+) -> dm_env.Environment:
   """Returns an environment, with the signature of dm_control's `suite.load`.
 
   Args:
     domain_name: 'multimode_biped', or any domain of dm_control.
     task_name: of the task.
-    task_kwargs: for the task's factory: `time_limit`, `random`.
+    task_kwargs: for the task's factory: `time_limit`, `random`; `policy` of the
+      tasks `reach_*`.
     environment_kwargs: for the environment's constructor.
     visualize_reward: whether the robot's eye shows the reward.
 

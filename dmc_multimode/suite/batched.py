@@ -70,7 +70,13 @@ class BatchedTimeStep(NamedTuple):
 
 
 class BatchedImitation:
-  """B worlds of an `Imitation` task, stepped together on a thread pool."""
+  """B worlds of an `Imitation` task, stepped together on a thread pool.
+
+  Attributes:
+    moving: whether each world's robot moves, [B]; one that is held still is
+      where it is, and costs no time, while the clocks run on. No `state` holds
+      it.
+  """
 
   def __init__(
     self,
@@ -116,6 +122,7 @@ class BatchedImitation:
     self._initial = np.zeros(num_worlds, dtype=np.int64)
     self._final = np.zeros(num_worlds, dtype=np.int64)
     self._ended = np.zeros(num_worlds, dtype=bool)
+    self.moving = np.ones(num_worlds, dtype=bool)
     self._total_steps = 0
     self.assistance = curriculum.TakeoffAssistance(
       self.config.assist_steps, self.core.tracker.bank.takeoffs > 0
@@ -197,6 +204,7 @@ class BatchedImitation:
     self.outcome = outcome
     self._returns += outcome.reward
     self._assist()
+    self._push()
     self._move_boxes(self.core.switch(self.qpos, self._random_state))
     observation = self._observe()
     return self._conclude(outcome, observation)
@@ -222,25 +230,60 @@ class BatchedImitation:
     Args:
       sources: index of the world that world i takes after, [B].
     """
-    fields = (
-      self.batch.state,
-      self._returns,
-      self._initial,
-      self._final,
-      self._ended,
-      self.core.contact,
-      *self.core.tracker.state,
-    )
-    for field in fields:
-      field[:] = field[sources]
-    terrain = self.core.terrain.rows(sources)
+    return self._go_on_from(self, sources)
+
+  def adopt(self, other: 'BatchedImitation', source: int = 0) -> np.ndarray:
+    """Lets all worlds go on from where one of another's is.
+
+    Args:
+      other: worlds of the same model and task, as many as they may be.
+      source: index of the world among them.
+
+    Returns:
+      The observations.
+
+    Raises:
+      ValueError: the other's physics has a state of another size.
+    """
+    if other.batch.nstate != self.batch.nstate:
+      raise ValueError(
+        f"A world's state has {other.batch.nstate} numbers there and "
+        f'{self.batch.nstate} here: use worlds of the same task.'
+      )
+    return self._go_on_from(other, np.full(self.num_worlds, source))
+
+  def _go_on_from(
+    self, other: 'BatchedImitation', sources: np.ndarray
+  ) -> np.ndarray:
+    """Takes over one of the other's worlds in each; returns observations."""
+    terrain = other.core.terrain.rows(sources)
     moved = [
-      (mine != other).any(axis=1)
-      for mine, other in zip(self.core.terrain, terrain, strict=True)
+      (mine != theirs).any(axis=1)
+      for mine, theirs in zip(self.core.terrain, terrain, strict=True)
     ]
-    self.core.terrain.write(np.arange(self.num_worlds), terrain)
+    theirs = other._fields()
+    for name, field in self._fields().items():
+      field[:] = theirs[name][sources]
     self._move_boxes(np.flatnonzero(np.any(moved, axis=0)))
     return self._observe()
+
+  def _fields(self) -> dict[str, np.ndarray]:
+    """Returns what each world has of its own, each with a leading axis B."""
+    fields = {
+      'physics': self.batch.state,
+      'returns': self._returns,
+      'initial': self._initial,
+      'final': self._final,
+      'ended': self._ended,
+      'contact': self.core.contact,
+    }
+    for prefix, parts in (
+      ('tracker', self.core.tracker.state),
+      ('terrain', self.core.terrain),
+    ):
+      for name, field in parts._asdict().items():
+        fields[f'{prefix}/{name}'] = field
+    return fields
 
   def _follow_schedules(self) -> None:
     """Sets what changes along a training: a bound, a share of obstacles."""
@@ -269,12 +312,25 @@ class BatchedImitation:
     ids, wanted = self.core.tracker.take_offs()
     self.qvel[ids, :3] += self.assistance.boost(self.qvel[ids, :3], wanted)
 
+  def _push(self) -> None:
+    """Pushes some robots in some horizontal direction, now and then."""
+    config = self.config
+    most = config.push_speed_after(self._total_steps)
+    if not most:
+      return
+    uniform = lambda high, size: self._random_state.uniform(0, high, size)
+    share = config.control_timestep / config.push_interval
+    ids = np.flatnonzero(uniform(1.0, self.num_worlds) < share)
+    speed, way = uniform(most, len(ids)), uniform(2 * np.pi, len(ids))
+    self.qvel[ids, 0] += speed * np.cos(way)
+    self.qvel[ids, 1] += speed * np.sin(way)
+
   def _advance_physics(self, actions: np.ndarray) -> np.ndarray:
     """Returns the worlds in which the engine gave up."""
     spec = self._action_spec
     np.clip(actions, spec.minimum, spec.maximum, out=self._ctrl)
     try:
-      self.batch.step(nstep=self.config.substeps)
+      self.batch.step(ids=self.moving, nstep=self.config.substeps)
     except mujoco_batch.SimulationError as error:
       return np.asarray(error.ids)
     return np.zeros(0, dtype=np.int64)
@@ -383,23 +439,10 @@ class BatchedImitation:
 
   def state(self) -> dict[str, np.ndarray]:
     """Returns copies of everything that `restore` needs to go on exactly."""
-    state = {
-      'physics': self.batch.state.copy(),
-      'returns': self._returns.copy(),
-      'initial': self._initial.copy(),
-      'final': self._final.copy(),
-      'ended': self._ended.copy(),
-      'contact': self.core.contact.copy(),
-      'total_steps': np.array(self._total_steps),
+    state: dict[str, Any] = {
+      name: field.copy() for name, field in self._fields().items()
     }
-    state |= {
-      f'tracker/{name}': field.copy()
-      for name, field in self.core.tracker.state._asdict().items()
-    }
-    state |= {
-      f'terrain/{name}': field.copy()
-      for name, field in self.core.terrain._asdict().items()
-    }
+    state['total_steps'] = np.array(self._total_steps)
     for name, part in self._stateful_parts():
       state |= {f'{name}/{k}': v for k, v in part.state().items()}
     _, keys, position, has_gauss, gauss = self._random_state.get_state()
@@ -418,17 +461,9 @@ class BatchedImitation:
         f'The saved worlds have shape {state["physics"].shape}, these '
         f'{self.batch.state.shape}: use the same number of worlds and task.'
       )
-    self.batch.state[:] = state['physics']
-    self._returns[:], self._ended[:] = state['returns'], state['ended']
-    self.core.contact[:] = state['contact']
+    for name, field in self._fields().items():
+      field[:] = state[name]
     self._total_steps = int(state['total_steps'])
-    self._initial[:], self._final[:] = state['initial'], state['final']
-    for prefix, fields in (
-      ('tracker', self.core.tracker.state),
-      ('terrain', self.core.terrain),
-    ):
-      for name, field in fields._asdict().items():
-        field[:] = state[f'{prefix}/{name}']
     for name, part in self._stateful_parts():
       part.restore(_sub(state, f'{name}/'))
     position, has_gauss, gauss = state['random/rest']

@@ -36,6 +36,9 @@ class ImitationConfig:
     obstacles: share of the commands in a training that meet an obstacle, see
       `suite.obstacles`.
     obstacles_start: control steps of all worlds together before there are any.
+    push_speed: most velocity that a push in a training adds, m/s.
+    push_interval: mean time between the pushes of a robot, seconds.
+    push_start: control steps of all worlds together before there are any.
     reference_starts: share of the episodes that start on the reference at a
       random phase, with the reference's velocity.
     edge_noise: half-width of the uniform noise on the distance to a step that
@@ -61,6 +64,9 @@ class ImitationConfig:
   contact_bonus_end: int = 0
   obstacles: float = 0.0
   obstacles_start: int = 0
+  push_speed: float = 0.0
+  push_interval: float = 1.5
+  push_start: int = 0
   reference_starts: float = 0.5
   edge_noise: float = 0.04
   joint_noise: float = 0.05
@@ -69,7 +75,12 @@ class ImitationConfig:
   contact_force: float = 1.0
 
   def __post_init__(self) -> None:
-    for name in ('time_limit', 'control_timestep', 'physics_timestep'):
+    for name in (
+      'time_limit',
+      'control_timestep',
+      'physics_timestep',
+      'push_interval',
+    ):
       value = getattr(self, name)
       if not (math.isfinite(value) and value > 0):
         raise ValueError(f'{name} must be positive, got {value}.')
@@ -79,7 +90,7 @@ class ImitationConfig:
         f'physics_timestep {self.physics_timestep} must divide '
         f'control_timestep {self.control_timestep}.'
       )
-    for name in ('contact_bonus', 'late_contact_bonus'):
+    for name in ('contact_bonus', 'late_contact_bonus', 'push_speed'):
       value = getattr(self, name)
       if not (math.isfinite(value) and value >= 0):
         raise ValueError(f'{name} must not be negative, got {value}.')
@@ -92,10 +103,11 @@ class ImitationConfig:
       value = getattr(self, name)
       if not 0 <= value <= 1:
         raise ValueError(f'{name} is a share in [0, 1], got {value}.')
-    if self.obstacles_start < 0:
-      raise ValueError(
-        f'obstacles_start must not be negative, got {self.obstacles_start}.'
-      )
+    for name in ('obstacles_start', 'push_start'):
+      if getattr(self, name) < 0:
+        raise ValueError(
+          f'{name} must not be negative, got {getattr(self, name)}.'
+        )
 
   def distance_after(self, steps: int) -> float:
     """Bound on the distance from the reference, metres, early or late.
@@ -130,6 +142,14 @@ class ImitationConfig:
     """
     return self.obstacles if steps >= self.obstacles_start else 0.0
 
+  def push_speed_after(self, steps: int) -> float:
+    """Most velocity that a push adds, m/s.
+
+    Args:
+      steps: control steps that all worlds of a training made together.
+    """
+    return self.push_speed if steps >= self.push_start else 0.0
+
   @property
   def substeps(self) -> int:
     """Physics steps in a control step."""
@@ -145,7 +165,7 @@ def for_evaluation(config: ImitationConfig) -> ImitationConfig:
   """Returns the task without what only serves training.
 
   Episodes start from rest, edges are in place, no obstacle is met, nobody
-  helps, no bonus is paid, and the bound on the distance is the final one.
+  helps or pushes, no bonus is paid, and the bound on the distance is the final one.
   """
   return dataclasses.replace(
     config,
@@ -156,6 +176,7 @@ def for_evaluation(config: ImitationConfig) -> ImitationConfig:
     contact_bonus=0.0,
     late_contact_bonus=0.0,
     obstacles=0.0,
+    push_speed=0.0,
   )
 
 

@@ -7,10 +7,10 @@
 Importing this module registers every task of the suite.
 """
 
-from typing import Any
+from typing import Any, Mapping
 
-from dm_control import composer
 import dm_env
+from dm_env import specs
 import numpy as np
 
 from dmc_multimode import suite
@@ -29,18 +29,19 @@ _VERSION = 0
 _SEEDS = 2**32  # As many as a RandomState takes.
 
 
-class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+class GymnasiumEnv(gymnasium.Env[np.ndarray, Any]):
   """One task of the suite behind Gymnasium's interface.
 
-  Observations are flat, float32 [33 + n_m], in the order of
-  `observations.layout`; actions are joint targets in radians, float32 [10].
+  Observations are flat, float32 [D], their parts in the order of the task's
+  `observation_spec`. Actions are the task's: joint targets in radians, float32
+  [10], or the index of a mode.
   """
 
   metadata: dict[str, Any] = {'render_modes': ['rgb_array']}
 
   def __init__(
     self,
-    environment: composer.Environment,
+    environment: dm_env.Environment,
     render_mode: str | None = None,
     width: int = 640,
     height: int = 480,
@@ -49,7 +50,7 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """Takes over an environment.
 
     Args:
-      environment: of an `Imitation` task, as `suite.load` returns it.
+      environment: as `suite.load` returns it, of a task of ours.
       render_mode: None or 'rgb_array'.
       width, height: of the frames, pixels.
       camera: of the model, whose view is rendered.
@@ -68,16 +69,11 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     self._view = {'width': width, 'height': height, 'camera_id': camera}
     rate = round(1 / environment.control_timestep())
     self.metadata = {**self.metadata, 'render_fps': rate}
-    layout = observations.layout(self._task.codebook.latent_dim)
-    self._names = [name for name, _ in layout]
-    size = sum(size for _, size in layout)
+    parts = environment.observation_spec().values()
     self.observation_space = gymnasium.spaces.Box(
-      -np.inf, np.inf, (size,), np.float32
+      -np.inf, np.inf, (sum(part.shape[0] for part in parts),), np.float32
     )
-    spec = environment.action_spec()
-    self.action_space = gymnasium.spaces.Box(
-      spec.minimum.astype(np.float32), spec.maximum.astype(np.float32)
-    )
+    self.action_space = _space(environment.action_spec())
 
   def reset(
     self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -101,16 +97,16 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     return self._see(self._environment.reset())
 
   def step(
-    self, action: np.ndarray
+    self, action: Any
   ) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-    """Applies joint targets in radians, [10]; see `gymnasium.Env.step`.
+    """Applies an action of `action_space`; see `gymnasium.Env.step`.
 
     Raises:
       gymnasium.error.ResetNeeded: no episode is running.
     """
     if self._over:
       raise gymnasium.error.ResetNeeded('Call reset() to begin an episode.')
-    timestep = self._environment.step(np.asarray(action, dtype=np.float64))
+    timestep = self._environment.step(np.asarray(action))
     self._over = timestep.last()
     terminated = self._over and timestep.discount == 0.0
     truncated = self._over and not terminated
@@ -121,8 +117,8 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     self, timestep: dm_env.TimeStep
   ) -> tuple[np.ndarray, dict[str, Any]]:
     """Returns the flat observation and the info."""
-    parts = {name: timestep.observation[name] for name in self._names}
-    return observations.flatten(parts), {'mode': self._task.mode}
+    flat = observations.flatten(timestep.observation)
+    return flat, {'mode': self._task.mode}
 
   def render(self) -> np.ndarray | None:
     """Returns a frame, uint8 [height, width, 3]; None without render mode."""
@@ -137,10 +133,21 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
       self._environment.close()
 
 
+def _space(spec: specs.BoundedArray) -> gymnasium.Space[Any]:
+  """Returns the space of what a specification allows."""
+  if isinstance(spec, specs.DiscreteArray):
+    return gymnasium.spaces.Discrete(spec.num_values)
+  low, high = (
+    bound.astype(np.float32) for bound in (spec.minimum, spec.maximum)
+  )
+  return gymnasium.spaces.Box(low, high)
+
+
 def make(
   task: str,
   render_mode: str | None = None,
   time_limit: float | None = None,
+  task_kwargs: Mapping[str, Any] | None = None,
   **kwargs: Any,
 ) -> GymnasiumEnv:
   """Loads a task of the suite; the entry point of Gymnasium's registry.
@@ -149,12 +156,15 @@ def make(
     task: of the domain `multimode_biped`.
     render_mode: None or 'rgb_array'.
     time_limit: length of an episode, seconds; the task's own by default.
+    task_kwargs: further arguments of the task's factory, such as `policy`.
     **kwargs: further arguments of `GymnasiumEnv`.
 
   Raises:
     ValueError: the task or the render mode is unknown.
   """
-  environment = suite.load(suite.DOMAIN, task, {'time_limit': time_limit})
+  environment = suite.load(
+    suite.DOMAIN, task, {'time_limit': time_limit, **(task_kwargs or {})}
+  )
   return GymnasiumEnv(environment, render_mode, **kwargs)
 
 

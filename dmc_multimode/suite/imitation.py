@@ -117,6 +117,11 @@ class Imitation(composer.Task):
     return self._task_observables
 
   @property
+  def observation(self) -> dict[str, np.ndarray]:
+    """What the next action sees: `observations.layout`'s parts, [1, size]."""
+    return dict(self._parts)
+
+  @property
   def visualize_reward(self) -> bool:
     """Whether the robot's eye is coloured by the reward."""
     return self._visualize_reward
@@ -191,12 +196,38 @@ class Imitation(composer.Task):
     contact = (touch > self.config.contact_force)[None]
     self._outcome = self.core.advance(qpos, qvel, contact.astype(float))
     self._return += float(self._outcome.reward[0])
-    if len(self.core.switch(qpos, random_state)):
-      self._arena.apply(physics, self._standing_terrain())
-      physics.forward()
+    self._rebuild(physics, self.core.switch(qpos, random_state))
     self._observe(physics)
     if self._visualize_reward:
       self._colour(physics, float(self._outcome.reward[0]))
+
+  def command(
+    self, physics: Any, mode: int, random_state: np.random.RandomState
+  ) -> None:
+    """Commands a mode now, whatever the schedule says.
+
+    As for a scheduled command, the reference is anchored where the robot is,
+    and a mode that runs already just goes on. `observation` tells of it at
+    once; an environment's time step, which is older, does not.
+
+    Args:
+      physics: of the running episode.
+      mode: index into `motions`.
+      random_state: of the places of steps.
+    """
+    if mode != self.core.tracker.state.mode[0]:
+      qpos, _ = _state(physics)
+      modes = np.array([mode])
+      self._rebuild(
+        physics, self.core.command(_WORLD, modes, qpos, random_state)
+      )
+    self._observe(physics)
+
+  def _rebuild(self, physics: Any, changed: np.ndarray) -> None:
+    """Moves the boxes if the terrain is among those that changed."""
+    if len(changed):
+      self._arena.apply(physics, self._standing_terrain())
+      physics.forward()
 
   def _observe(self, physics: Any) -> None:
     self._parts.update(self.core.observe(*_state(physics)))

@@ -1,19 +1,23 @@
-"""The domain `multimode_biped`: one task a mode, and the paper's mode sets.
+"""The domain `multimode_biped`: tasks for modes, mode sets and tracks.
 
-Factories have the signature of dm_control's own: `time_limit` in seconds,
-`random` (a seed or a `RandomState`) and `environment_kwargs` for the
-`composer.Environment`.
+One task a mode, one for each of the paper's mode sets, and one for each track
+that is to be crossed by mode commands. Factories have the signature of
+dm_control's own: `time_limit` in seconds, `random` (a seed or a `RandomState`)
+and `environment_kwargs` for the `composer.Environment`; some take more.
 """
 
 import dataclasses
 import functools
+import os
 from typing import Any, Callable, Mapping, Sequence
 
 from dm_control import composer
 from dm_control.utils import containers
+import dm_env
 import numpy as np
 
 from dmc_multimode import resources
+from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track
 from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import library
@@ -23,6 +27,8 @@ from dmc_multimode.suite import config as config_lib
 from dmc_multimode.suite import episodes as episodes_lib
 from dmc_multimode.suite import imitation
 from dmc_multimode.suite import mini_biped
+from dmc_multimode.suite import reaching
+from dmc_multimode.suite import reaching_env
 from dmc_multimode.suite import rewards
 
 SUITE = containers.TaggedTasks()
@@ -86,19 +92,17 @@ def make_environment(
   Args:
     task: whose model does not change between episodes.
     random: a seed, or the source of all randomness.
-    environment_kwargs: for the `composer.Environment`.
+    environment_kwargs: for the `composer.Environment`; they win.
   """
   kwargs: dict[str, Any] = {
+    # Half a physics step early: the physics' clock adds up rounding errors, and
+    # an episode would last one control step too long.
+    'time_limit': task.config.time_limit - task.config.physics_timestep / 2,
     'recompile_mjcf_every_episode': False,
     'strip_singleton_obs_buffer_dim': True,
     **(environment_kwargs or {}),
   }
-  # Half a physics step early: the physics' clock adds up rounding errors, and
-  # an episode would last one control step too long.
-  time_limit = task.config.time_limit - task.config.physics_timestep / 2
-  return composer.Environment(
-    task, time_limit=time_limit, random_state=random, **kwargs
-  )
+  return composer.Environment(task, random_state=random, **kwargs)
 
 
 def multimode(
@@ -128,25 +132,76 @@ def single_mode(
   config = config_lib.ImitationConfig()
   if time_limit is not None:
     config = dataclasses.replace(config, time_limit=time_limit)
-  episodes = episodes_lib.ScheduledEpisodes(
-    schedule_lib.single(np.zeros(1, dtype=np.int64))
-  )
-  task = make_task(library.resolve([mode]), episodes=episodes, config=config)
+  task = make_task(library.resolve([mode]), episodes=_first(), config=config)
   return make_environment(task, random, environment_kwargs)
 
 
+def _first() -> episodes_lib.ScheduledEpisodes:
+  """Episodes of the first mode."""
+  return episodes_lib.ScheduledEpisodes(
+    schedule_lib.single(np.zeros(1, dtype=np.int64))
+  )
+
+
+def reach(
+  track_name: str,
+  time_limit: float | None = None,
+  random: int | np.random.RandomState | None = None,
+  environment_kwargs: Mapping[str, Any] | None = None,
+  policy: str | os.PathLike[str] | reaching.Policy = 'pi2',
+) -> reaching_env.ReachingEnvironment:
+  """A track to cross: an action is the mode that is commanded for a knot.
+
+  The first episode with a seed for `random` is the one that a planner is given
+  with that seed, its track included where that is random.
+
+  Args:
+    track_name: one of `reaching.TRACKS`.
+    time_limit: seconds: as many knots as fit; the problem's own if None.
+    random: a seed, or the source of all randomness.
+    environment_kwargs: for the `composer.Environment`.
+    policy: what turns modes into motion: the name of a shipped one, a folder,
+      or a `reaching.Policy`.
+
+  Raises:
+    FileNotFoundError, TypeError: that is no policy.
+    ValueError: no knot fits into `time_limit`.
+  """
+  policy = reaching_env.load_policy(policy)
+  arena = track.make(track_name)
+
+  def problem(terrain: terrain_lib.Terrain) -> reaching.ReachingConfig:
+    return reaching.within(reaching.problem(track_name, terrain), time_limit)
+
+  first = problem(arena.generate(np.random.RandomState(0)))
+  task = make_task(
+    policy.motions,
+    policy.codebook,
+    _first(),
+    arena,
+    reaching.task_config(policy, first),
+  )
+  # The knots are counted; on a random track they are not always as many.
+  kwargs = {'time_limit': np.inf, **(environment_kwargs or {})}
+  environment = make_environment(task, random, kwargs)
+  return reaching_env.ReachingEnvironment(environment, policy, problem)
+
+
 def _register(
-  name: str, factory: Callable[..., composer.Environment], *tags: str
+  name: str,
+  factory: Callable[..., dm_env.Environment],
+  subject: str,
+  *tags: str,
 ) -> None:
-  """Adds a factory to SUITE under a name of its own."""
-  partial = functools.partial(factory, name)
+  """Adds a factory, applied to its subject, to SUITE under a name."""
 
   def make(
     time_limit: float | None = None,
     random: int | np.random.RandomState | None = None,
     environment_kwargs: Mapping[str, Any] | None = None,
-  ) -> composer.Environment:
-    return partial(time_limit, random, environment_kwargs)
+    **more: Any,
+  ) -> dm_env.Environment:
+    return factory(subject, time_limit, random, environment_kwargs, **more)
 
   make.__name__ = name
   make.__doc__ = f'Returns the {name} task; see `{factory.__name__}`.'
@@ -157,6 +212,8 @@ _EASY = ('idle', 'walk_forward')
 # Not 'benchmarking': dm_control promises actions in [-1, 1] for these, and its
 # benchmark is a fixed set.
 for _mode in library.modes():
-  _register(_mode, single_mode, 'easy' if _mode in _EASY else 'hard')
+  _register(_mode, single_mode, _mode, 'easy' if _mode in _EASY else 'hard')
 for _set in ('pi1', 'pi2', 'pi3'):
-  _register(_set, multimode, 'hard', 'multimode')
+  _register(_set, multimode, _set, 'hard', 'multimode')
+for _track in reaching.TRACKS:
+  _register(f'reach_{_track}', reach, _track, 'hard', 'reaching')

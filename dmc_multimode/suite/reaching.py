@@ -7,6 +7,7 @@ position of the trunk.
 """
 
 import dataclasses
+import math
 from typing import Mapping, NamedTuple, Protocol
 
 import numpy as np
@@ -25,6 +26,9 @@ RANDOM_TRACK = 'parkour'
 _BEYOND = 0.4  # Metres behind the last edge of a random track: the goal.
 _SPEED = 0.3  # m/s at least that time is left for.
 _RANDOM_KNOT = 0.15  # Seconds.
+
+AHEAD = tuple(0.05 * i for i in range(1, 31))  # Metres at which ground is seen.
+GAP = -1.0  # Metres: what `ground_ahead` says where nothing is.
 
 
 class Policy(Protocol):
@@ -102,16 +106,55 @@ PROBLEMS: Mapping[str, Problem] = {  # By the name of the track.
 }
 
 
-def random_problem(seed: int) -> ReachingConfig:
-  """Returns how to cross the random track that is drawn with a seed."""
-  track = track_lib.make(RANDOM_TRACK)
-  terrain = track.generate(np.random.RandomState(seed))
+TRACKS = (*PROBLEMS, RANDOM_TRACK)
+
+
+def problem(
+  track: str, terrain: terrain_lib.Terrain, seed: int = 0
+) -> ReachingConfig:
+  """Returns what is asked on a track.
+
+  Args:
+    track: one of `TRACKS`.
+    terrain: a batch of one, as the track drew it.
+    seed: that it was drawn with.
+  """
+  if track in PROBLEMS:
+    return PROBLEMS[track].config(seed)
   last = np.flatnonzero(np.isfinite(terrain.starts[0]))[-1]
   x = float(terrain.starts[0, last]) + _BEYOND
   z = float(terrain.tops[0, last]) + library.STAND_HEIGHT
   return ReachingConfig(
     (x, 0.0, z), round(x / _SPEED / _RANDOM_KNOT), _RANDOM_KNOT, seed
   )
+
+
+def random_problem(seed: int) -> ReachingConfig:
+  """Returns how to cross the random track that is drawn with a seed."""
+  track = track_lib.make(RANDOM_TRACK)
+  terrain = track.generate(np.random.RandomState(seed))
+  return problem(RANDOM_TRACK, terrain, seed)
+
+
+def within(config: ReachingConfig, time_limit: float | None) -> ReachingConfig:
+  """Returns the problem with as many knots as fit into a time.
+
+  Args:
+    config: the problem.
+    time_limit: seconds; None leaves the problem as it is.
+
+  Raises:
+    ValueError: no knot fits.
+  """
+  if time_limit is None:
+    return config
+  if not config.knot_duration <= time_limit < math.inf:
+    raise ValueError(
+      f'time_limit must have room for a knot, {config.knot_duration} s, got '
+      f'{time_limit}.'
+    )
+  knots = math.floor(time_limit / config.knot_duration + 1e-6)
+  return dataclasses.replace(config, knots=knots)
 
 
 def task_config(
@@ -195,3 +238,20 @@ def reached(
   # The third column of the rotation matrix: how upright the trunk is.
   up = 1 - 2 * (qpos[:, 4] ** 2 + qpos[:, 5] ** 2)
   return there & (np.abs(z - goal[2]) <= _NEAR_Z) & (up > _UPRIGHT)
+
+
+def ground_ahead(terrain: terrain_lib.Terrain, x: np.ndarray) -> np.ndarray:
+  """Returns the heights of the ground `AHEAD` of robots, metres, [B, 30].
+
+  They are relative to the support planes under the robots, and `GAP` where
+  there is no ground.
+
+  Args:
+    terrain: under the B robots.
+    x: of their trunks, world metres, [B].
+  """
+  at = (x[:, None] + np.array(AHEAD))[:, :, None]
+  starts, ends, tops = (field[:, None] for field in terrain)
+  top = np.where((starts <= at) & (at <= ends), tops, -np.inf).max(axis=-1)
+  support = terrain_lib.support_height(terrain, x)[:, None]
+  return np.where(np.isfinite(top), top - support, GAP)

@@ -262,6 +262,59 @@ def test_saves_in_between() -> None:
   assert save.call_count == 2 + 1
 
 
+@pytest.mark.parametrize(
+  ('every', 'kept'),
+  [
+    (0, []),
+    (32, [32, 64]),
+    (24, [32, 48, 80]),  # 24, 48 and 72 were passed by then.
+    (10, [16, 32, 48, 64, 80]),  # Once, however many multiples are passed.
+    (80, [80]),
+    (81, []),
+  ],
+)
+def test_keeps_policies(every: int, kept: list[int]) -> None:
+  loop, found, saved = _toy_loop(), [], []
+  loop.run(
+    training.TrainingConfig(steps=80, keep_every=every),
+    Recorder(),
+    lambda: saved.append(loop.steps),
+    keep=lambda: found.append((loop.steps, loop.iterations)),
+  )
+  assert found == [(steps, steps // 16) for steps in kept]
+  assert saved == [80]  # That is another thing.
+
+
+def test_keeps_the_policy_that_was_just_learned() -> None:
+  loop, kept = _toy_loop(), []
+  weights = lambda: {
+    key: np.asarray(value)
+    for key, value in loop.state()[0].items()
+    if key.startswith('learner/network')
+  }
+  loop.run(
+    training.TrainingConfig(steps=32, keep_every=32),
+    Recorder(),
+    lambda: None,
+    keep=lambda: kept.append(weights()),
+  )
+  assert len(kept) == 1 and kept[0]
+  for key, value in weights().items():
+    np.testing.assert_array_equal(value, kept[0][key])
+
+
+def test_keeping_goes_on_where_it_was() -> None:
+  loop, kept = _toy_loop(), []
+  for steps in (32, 48, 80):
+    loop.run(
+      training.TrainingConfig(steps=steps, keep_every=40),
+      Recorder(),
+      lambda: None,
+      keep=lambda: kept.append(loop.steps),
+    )
+  assert kept == [48, 80]
+
+
 def test_saves_what_it_has_when_nothing_is_logged() -> None:
   loop, states = _toy_loop(), []
   loop.run(
@@ -281,6 +334,7 @@ def test_saves_what_it_has_when_nothing_is_logged() -> None:
     {'minutes': math.nan},
     {'log_every': 0},
     {'checkpoint_seconds': -1.0},
+    {'keep_every': -1},
   ],
 )
 def test_config_rejects(changes: dict[str, Any]) -> None:

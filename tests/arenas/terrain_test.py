@@ -92,6 +92,58 @@ class ClearanceHeightTest(parameterized.TestCase):
     self.assertEqual(height[0], 0.5)
 
 
+def _next(course: terrain.Terrain, x: float) -> tuple[float, float, float]:
+  """What follows the segment under one point of one terrain."""
+  start, rise, gap = terrain.next_segment(course, np.array([x]))
+  return float(start[0]), float(rise[0]), float(gap[0])
+
+
+class NextSegmentTest(parameterized.TestCase):
+  @parameterized.parameters(
+    (-30.0, (1.5, 0.2, 0.5)),  # Behind everything: after the first segment.
+    (0.0, (1.5, 0.2, 0.5)),
+    (1.25, (1.5, 0.2, 0.5)),  # Over the gap, of which all counts.
+    (1.5, (2.0, 0.4, 0.0)),
+    (1.9999, (2.0, 0.4, 0.0)),
+    (2.0, (np.inf, 0.0, 0.0)),
+    (50.0, (np.inf, 0.0, 0.0)),
+  )
+  def test_by_hand(
+    self, x: float, expected: tuple[float, float, float]
+  ) -> None:
+    np.testing.assert_allclose(_next(_COURSE, x), expected, atol=1e-12)
+
+  def test_step_down(self) -> None:
+    down = _terrain((-20, 1, 0.5), (1.25, 20, 0.125))
+    self.assertEqual(_next(down, 0.0), (1.25, -0.375, 0.25))
+
+  @parameterized.parameters(0.0, 1.0, 7.0)
+  def test_none_where_the_pool_ends(self, x: float) -> None:
+    full = _terrain((-20, 0, 0), (0, 9, 0.4), num_segments=2)
+    self.assertEqual(_next(full, x), (np.inf, 0.0, 0.0))
+
+  def test_worlds_are_told_apart(self) -> None:
+    both = terrain.empty(3, 4)
+    both.write(np.array([0, 2]), _COURSE.rows(np.array([0, 0])))
+    both.write(np.array([1]), _terrain((-20, 20, 0.1)))
+    start, rise, gap = terrain.next_segment(both, np.array([0.0, 0.0, 1.75]))
+    np.testing.assert_array_equal(start, [1.5, np.inf, 2.0])
+    np.testing.assert_allclose(rise, [0.2, 0.0, 0.4])
+    np.testing.assert_allclose(gap, [0.5, 0.0, 0.0])
+
+  @hypothesis.settings(max_examples=100, deadline=None)
+  @hypothesis.given(segments=_courses(), x=st.floats(-10.0, 25.0))
+  def test_is_the_first_segment_that_has_not_started(
+    self, segments: list[tuple[float, float, float]], x: float
+  ) -> None:
+    under = max(sum(start <= x for start, _, _ in segments) - 1, 0)
+    expected = (np.inf, 0.0, 0.0)
+    if under + 1 < len(segments):
+      (_, end, here), (start, _, there) = segments[under : under + 2]
+      expected = (start, there - here, start - end)
+    self.assertEqual(_next(_terrain(*segments), x), expected)
+
+
 class WithStepTest(parameterized.TestCase):
   def test_by_hand(self) -> None:
     stepped = terrain.with_step(_COURSE, np.array([0.0]), np.array([0.3]), 0.4)
@@ -106,6 +158,73 @@ class WithStepTest(parameterized.TestCase):
       _at(stepped, 0.0, 1.25, 1.7, 1.95), [0.0, 0.0, 0.2, 0.1]
     )
 
+  def test_gap_ends_at_the_step(self) -> None:
+    stepped = terrain.with_step(
+      _COURSE, np.array([0.0]), np.array([0.75]), -0.1, 0.25
+    )
+    np.testing.assert_array_equal(stepped.starts, [[-20, 0.75, np.inf, np.inf]])
+    np.testing.assert_array_equal(stepped.ends, [[0.5, 9, np.inf, np.inf]])
+    np.testing.assert_array_equal(stepped.tops, [[0, -0.1, 0, 0]])
+
+  def test_heights_and_gaps_of_each_world(self) -> None:
+    three = _COURSE.rows(np.zeros(3, dtype=np.int64))
+    stepped = terrain.with_step(
+      three,
+      np.array([0.0, 1.75, 2.5]),
+      np.array([0.5, 2.25, 3.0]),
+      np.array([0.25, -0.1, 0.0]),
+      np.array([0.0, 0.25, 0.375]),
+    )
+    none = np.inf
+    np.testing.assert_array_equal(
+      stepped.starts,
+      [
+        [-20, 0.5, none, none],
+        [-20, 1.5, 2.25, none],
+        [-20, 1.5, 2, 3],
+      ],
+    )
+    np.testing.assert_array_equal(
+      stepped.ends,
+      [[0.5, 9, none, none], [1, 2, 9, none], [1, 2, 2.625, 9]],
+    )
+    np.testing.assert_allclose(
+      stepped.tops,
+      [[0, 0.25, 0, 0], [0, 0.2, 0.1, 0], [0, 0.2, 0.6, 0.6]],
+    )
+
+  @hypothesis.settings(max_examples=100, deadline=None)
+  @hypothesis.given(
+    segments=_courses(),
+    x=st.floats(-5.0, 12.0),
+    ahead=st.floats(0.5, 2.0),
+    height=st.floats(-0.5, 0.5),
+    gap=st.floats(0.0, 0.4),
+  )
+  def test_is_what_comes_next(
+    self,
+    segments: list[tuple[float, float, float]],
+    x: float,
+    ahead: float,
+    height: float,
+    gap: float,
+  ) -> None:
+    edge = x + ahead
+    hypothesis.assume(edge > segments[0][0])
+    before = _terrain(*segments, num_segments=5)
+    after = terrain.with_step(
+      before,
+      np.array([x]),
+      np.array([edge]),
+      np.array([height]),
+      np.array([gap]),
+    )
+    np.testing.assert_allclose(_next(after, x), (edge, height, gap), atol=1e-9)
+    # Nothing follows, and nothing has changed up to here.
+    self.assertEqual(_next(after, edge), (np.inf, 0.0, 0.0))
+    for behind in np.linspace(-6.0, x, 9):
+      self.assertEqual(_at(after, behind), _at(before, behind))
+
   def test_past_the_end_there_is_ground_still(self) -> None:
     stepped = terrain.with_step(_COURSE, np.array([8.9]), np.array([9.2]), 0.4)
     used = np.isfinite(stepped.ends)
@@ -116,6 +235,60 @@ class WithStepTest(parameterized.TestCase):
     full = _terrain((-20, 1, 0), (1, 9, 0.4), num_segments=2)
     with self.assertRaisesRegex(ValueError, 'only 2 segments'):
       terrain.with_step(full, np.array([2.0]), np.array([2.3]), 0.4)
+
+
+class LevelledTest(parameterized.TestCase):
+  @parameterized.parameters(0.0, 1.0, 1.25, 1.4999)
+  def test_by_hand(self, x: float) -> None:
+    """Also over the gap, which the ground before it then fills."""
+    level = terrain.levelled(_COURSE, np.array([x]))
+    np.testing.assert_array_equal(level.starts, [[-20] + [np.inf] * 3])
+    np.testing.assert_array_equal(level.ends, [[9] + [np.inf] * 3])
+    np.testing.assert_array_equal(level.tops, [[0, 0, 0, 0]])
+    self.assertEqual(_at(_COURSE, 1.7)[0], 0.2)  # The old one is untouched.
+
+  def test_what_is_behind_stays(self) -> None:
+    level = terrain.levelled(_COURSE, np.array([1.5]))
+    none = np.inf
+    np.testing.assert_array_equal(level.starts, [[-20, 1.5, none, none]])
+    np.testing.assert_array_equal(level.ends, [[1, 9, none, none]])
+    np.testing.assert_array_equal(level.tops, [[0, 0.2, 0, 0]])
+
+  def test_level_ground_stays_as_it_is(self) -> None:
+    ground = _terrain((-20, 20, 0.1))
+    level = terrain.levelled(ground, np.array([3.0]))
+    for mine, theirs in zip(level, ground, strict=True):
+      np.testing.assert_array_equal(mine, theirs)
+
+  def test_worlds_are_told_apart(self) -> None:
+    three = _COURSE.rows(np.zeros(3, dtype=np.int64))
+    level = terrain.levelled(three, np.array([0.0, 1.7, 3.0]))
+    np.testing.assert_array_equal(
+      terrain.support_height(level, np.full(3, 5.0)), [0.0, 0.2, 0.6]
+    )
+    np.testing.assert_array_equal(
+      np.isfinite(level.starts).sum(axis=1), [1, 2, 3]
+    )
+
+  def test_no_world_at_all(self) -> None:
+    nobody = _COURSE.rows(np.zeros(0, dtype=np.int64))
+    level = terrain.levelled(nobody, np.zeros(0))
+    self.assertEqual(level.starts.shape, (0, 4))
+
+  @hypothesis.settings(max_examples=100, deadline=None)
+  @hypothesis.given(segments=_courses(), x=st.floats(-10.0, 25.0))
+  def test_goes_on_as_it_is_to_the_end(
+    self, segments: list[tuple[float, float, float]], x: float
+  ) -> None:
+    before = _terrain(*segments)
+    level = terrain.levelled(before, np.array([x]))
+    self.assertEqual(_next(level, x), (np.inf, 0.0, 0.0))
+    used = np.isfinite(level.starts)
+    self.assertEqual(level.ends[used][-1], segments[-1][1])
+    for behind in np.linspace(-11.0, x, 9):
+      self.assertEqual(_at(level, behind), _at(before, behind))
+    ahead = _at(level, *np.linspace(x, 30.0, 9))
+    np.testing.assert_array_equal(ahead, _at(before, x)[0])
 
 
 class BoxesTest(parameterized.TestCase):

@@ -93,6 +93,15 @@ def test_pushes_come_once_a_second(folder: pathlib.Path) -> None:
   assert not np.array_equal(other.qvel, plain.qvel)
 
 
+def test_obstacles(folder: pathlib.Path) -> None:
+  worlds = _worlds(folder, cases_lib.Case(obstacles=1.0), mode=1)
+  worlds.reset()
+  # A block of another height, or there would be nothing to withstand.
+  tops = worlds.core.terrain.tops[:, 1]
+  assert (tops < 0.4).all()
+  assert np.ptp(tops) > 0
+
+
 @pytest.fixture(scope='module')
 def benchmark(
   tmp_path_factory: pytest.TempPathFactory,

@@ -7,10 +7,14 @@ from typing import Iterator
 import numpy as np
 import pytest
 
+from dmc_multimode import pretrained
 from dmc_multimode.arenas import terrain
 from dmc_multimode.arenas import track
 from dmc_multimode.bin import plan_figures
 from dmc_multimode.planner import plan as plan_lib
+from dmc_multimode.planner import planning
+from dmc_multimode.planner import pushes as pushes_lib
+from dmc_multimode.suite import reaching
 from tests.bin import processes
 
 _WALK = (
@@ -60,6 +64,7 @@ def test_plan_and_record(
   assert values['rollouts'] > 0
   assert values['return'] > 0
   assert values['solve_seconds'] > 0
+  assert (values['pushes'], values['replan_every']) == ([], 0)
   again = tmp_path / 'again.json'
   assert plan(*_WALK, f'--out={again}').code == 0
   second = plan_lib.read(again)
@@ -73,6 +78,39 @@ def test_plan_and_record(
   )
   assert done.code == 0, done.stderr
   assert f'wrote {video} (40 frames)' in done.stdout
+
+
+def test_pushes_and_replanning(
+  plan: processes.Binary, tmp_path: pathlib.Path
+) -> None:
+  """What is written is what was commanded, and why."""
+  out, figure = tmp_path / 'plan.json', tmp_path / 'plan.png'
+  flags = [
+    *_WALK,
+    '--knots=6',
+    '--beam_attempts=1',
+    '--push=0.9:-1:0.1,0.6:0.2',
+    '--replan_every=2',
+  ]
+  done = plan(*flags, f'--out={out}', f'--figure={figure}')
+  assert done.code in (0, 3), done.stderr
+  assert figure.exists()
+  values = plan_lib.read(out)
+  assert values['pushes'] == [
+    {'time': 0.9, 'velocity': [-1.0, 0.1, 0.0]},
+    {'time': 0.6, 'velocity': [0.2, 0.0, 0.0]},
+  ]
+  assert values['replan_every'] == 2
+  assert values['success'] == (done.code == 0)
+  course, policy = plan_lib.course(values), pretrained.load('quickstart')
+  replayed = planning.replay(
+    policy,
+    track.make('flat'),
+    reaching.ReachingConfig((0.6, 0.0, 0.5), 6, 0.3),
+    plan_lib.from_dict(values),
+    course.pushes,
+  )
+  assert replayed.position[0].tolist() == values['final_position']
 
 
 def test_q_learning_and_sizes(
@@ -113,6 +151,13 @@ def test_q_learning_and_sizes(
     (['--dt=0.1'], 'no multiple of the control step'),
     (['--seed=-1'], 'seed'),
     (['--beam_beams=0'], 'beams'),
+    (['--beam_attempts=0'], 'attempts'),
+    (['--replan_every=-1'], 'replan_every must not be negative'),
+    (['--push=0.3'], "'0.3' is no push"),
+    (['--push=0.3:1,0.6:x'], "'0.6:x' is no push"),
+    (['--push=0.5:1'], 'at 0.5 s is not at a knot'),
+    (['--push=1.2:1'], 'at 1.2 s is outside of the plan'),
+    (['--push=-0.3:1'], 'outside of the plan'),
     (['--policy={tmp}/none'], 'no pretrained named'),
     (['--out={tmp}'], 'is a folder'),
     (['--figure={tmp}'], 'is a folder'),
@@ -138,6 +183,8 @@ def test_bad_input(
     ({'arena': 'moat'}, [], 'moat'),
     ({'sizes': {'depth': 1}}, [], 'depth'),
     ({'seed': 'x'}, [], 'for which arena'),
+    ({'pushes': [{'time': 0.0}]}, [], 'no pushes'),
+    ({'pushes': [{'time': 9, 'velocity': [1, 0, 0]}]}, [], 'outside of'),
     ({'plan': ['idle']}, ['--arena=gap'], '--plan says what --arena would'),
   ],
 )
@@ -171,12 +218,14 @@ def test_figure() -> None:
   path = np.stack([np.linspace(0, 1, 6), np.zeros(6), np.full(6, 0.5)], axis=1)
   ground = track.make('gap').generate(np.random.RandomState(0))
   assert isinstance(ground, terrain.Terrain)
-  drawn = plan_figures.draw(plan_, path, 0.05, ground)
+  pushes = [pushes_lib.Push(0.2, (1.0, 0.0, 0.0))]
+  drawn = plan_figures.draw(plan_, path, 0.05, ground, pushes)
   modes, side, height = drawn.axes
   np.testing.assert_allclose(
     np.array(modes.lines[0].get_data()),
     np.array([[0, 0.1, 0.2, 0.3], [0, 0, 1, 1]]),
   )
+  np.testing.assert_array_equal(modes.lines[1].get_xdata(), 0.2)  # The push.
   labels = [label.get_text() for label in modes.get_yticklabels()]
   assert labels == ['walk', 'leap']
   np.testing.assert_array_equal(height.lines[0].get_data()[1], path[:, 2])

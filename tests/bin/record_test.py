@@ -15,8 +15,16 @@ import av
 import numpy as np
 import pytest
 
+from dmc_multimode import pretrained
+from dmc_multimode.arenas import track
+from dmc_multimode.bin import recording
+from dmc_multimode.bin import rollout
 from dmc_multimode.bin import video
+from dmc_multimode.planner import plan as plan_lib
+from dmc_multimode.planner import planning
+from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.suite import config
+from dmc_multimode.suite import reaching
 from tests.bin import untrained
 
 _ROOT = pathlib.Path(__file__).parents[2]
@@ -154,6 +162,53 @@ def test_goes_on_after_a_fall(
   assert done.code == 0, done.stderr
   assert 'leap_forward: not reached' in done.stdout
   assert len(_decode(tmp_path / 'end.mp4')[0]) < 30
+
+
+def test_pushes_as_in_the_plan() -> None:
+  """The video's engine goes where the planner's does, bit for bit."""
+  policy = pretrained.load('quickstart')
+  pushes = (
+    pushes_lib.Push(0.3, (-0.6, 0.2, 0.0)),
+    pushes_lib.Push(0.0, (0.2, 0.0, 0.0)),
+  )
+  plan = plan_lib.ModePlan(('walk_forward', 'walk_forward', 'idle'), 0.3)
+  planned = planning.replay(
+    policy,
+    track.make('flat'),
+    reaching.ReachingConfig((0.5, 0.0, 0.5), 3, 0.3, seed=4),
+    plan,
+    pushes,
+  )
+  names, durations = plan.segments()
+  for pushed in (pushes, ()):
+    roll = rollout.Rollout(
+      policy,
+      rollout.RolloutConfig(
+        tuple(names), tuple(durations), seed=4, pushes=pushed
+      ),
+    )
+    roll.start()
+    path = np.array([step.position for step in roll.steps()])
+    same = np.array_equal(path, planned.paths[0])
+    assert same == bool(pushed)
+
+
+def test_pushes_are_written_into_the_frames() -> None:
+  policy = pretrained.load('quickstart')
+  roll = rollout.Rollout(
+    policy,
+    rollout.RolloutConfig(
+      ('idle',), (1.2,), pushes=(pushes_lib.Push(0.3, (0.5, 0.0, 0.0)),)
+    ),
+  )
+  captions, frame = recording.Captions(roll), np.zeros((240, 320, 3), np.uint8)
+  step = rollout.Step(0, 0.0, 'idle', np.zeros(3), 0.5, 0.5, 0.0, 1.0, 'none')
+  texts = {
+    time: captions.draw(frame, step._replace(time=time))[:220]
+    for time in (0.29, 0.33, 0.89, 0.95)
+  }
+  heights = [(text > 0).any(axis=(1, 2)).sum() for text in texts.values()]
+  assert heights[1] == heights[2] > heights[0] == heights[3]
 
 
 # What is wrong with it, and what the message must name.

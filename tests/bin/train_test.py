@@ -1,6 +1,7 @@
 """Tests of dmc_multimode.bin.train."""
 
 import csv
+import itertools
 import json
 import pathlib
 import pickle
@@ -193,6 +194,38 @@ def test_run_goes_on_to_more_steps(
   assert all(torch.equal(expected[key], found[key]) for key in expected)
 
 
+def test_policies_are_kept_along_the_way(
+  train: processes.Binary, run_dir: pathlib.Path, tmp_path: pathlib.Path
+) -> None:
+  """Every 100 steps of which 32 are one iteration, in two parts."""
+  folder = tmp_path / 'kept'
+  flags = f'--run_dir={folder}', '--keep_every=100'
+  assert train(*flags, *_TINY, f'--steps={5 * _ITERATION}').code == 0
+  found = lambda: sorted(path.name for path in (folder / 'policies').iterdir())
+  assert found() == ['128']
+  done = train(*flags, '--resume', f'--steps={_STEPS}')
+  assert done.code == 0, done.stderr
+  assert found() == ['128', '224', '320']
+  tensors = []
+  for name in ('policies/128', 'policies/224', 'policies/320', ''):
+    policy = pretrained.load(folder / name)
+    assert policy.provenance['steps'] == int(name[-3:] or _STEPS)
+    assert policy.codebook.names == ('idle', 'walk_forward')
+    directory = folder / (name or 'policy')
+    values, _ = checkpointing.load_tensors(directory / 'policy.safetensors')
+    tensors.append(torch.cat([value.ravel() for value in values.values()]))
+  for one, other in itertools.combinations(tensors, 2):
+    assert not torch.equal(one, other)
+  # A run is what it would be without.
+  expected, _ = checkpointing.load_tensors(
+    run_dir / 'policy' / 'policy.safetensors'
+  )
+  found_last, _ = checkpointing.load_tensors(
+    folder / 'policy' / 'policy.safetensors'
+  )
+  assert all(torch.equal(expected[key], found_last[key]) for key in expected)
+
+
 def test_interrupt_stops_with_a_checkpoint(tmp_path: pathlib.Path) -> None:
   """As `python -m`, in a terminal."""
   folder = tmp_path / 'interrupted'
@@ -241,6 +274,7 @@ def test_interrupt_stops_with_a_checkpoint(tmp_path: pathlib.Path) -> None:
     (['--steps=-32'], 'steps'),
     (['--minutes=0'], 'minutes'),
     (['--minutes=nan'], 'minutes'),
+    (['--keep_every=-1'], 'keep_every must not be negative'),
     (['--num_worlds=0'], 'num_worlds'),
     (['--threads=-1'], 'threads'),
     (['--seed=-1'], 'seed'),

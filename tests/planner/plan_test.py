@@ -13,6 +13,7 @@ import pytest
 from dmc_multimode.modes import library
 from dmc_multimode.modes import reference
 from dmc_multimode.planner import plan as plan_lib
+from dmc_multimode.planner import pushes as pushes_lib
 
 _BANK = reference.ReferenceBank(library.resolve('pi2'))
 _PLAN = plan_lib.ModePlan(('idle', 'launch', 'launch', 'idle'), 0.3)
@@ -98,8 +99,13 @@ def test_missing_file(tmp_path: pathlib.Path) -> None:
 
 
 def test_course() -> None:
-  values = {'arena': 'gap', 'sizes': {'width': 0.3}, 'seed': 2, 'knots': 4}
-  assert plan_lib.course(values) == ('gap', {'width': 0.3}, 2)
+  values = {
+    **plan_lib.to_dict(_PLAN),
+    'arena': 'gap',
+    'sizes': {'width': 0.3},
+    'seed': 2,
+  }
+  assert plan_lib.course(values) == ('gap', {'width': 0.3}, 2, ())
   for changes in (
     {'arena': 3},
     {'sizes': {'width': 'wide'}},
@@ -109,6 +115,26 @@ def test_course() -> None:
   ):
     with pytest.raises(ValueError, match='for which arena'):
       plan_lib.course({**values, **changes})
+
+
+def test_course_with_pushes() -> None:
+  values = {
+    **plan_lib.to_dict(_PLAN),
+    'arena': 'flat',
+    'sizes': {},
+    'seed': 0,
+    'pushes': [{'time': 0.6, 'velocity': [0.5, 0, -0.1]}],
+  }
+  assert plan_lib.course(values).pushes == (
+    pushes_lib.Push(0.6, (0.5, 0.0, -0.1)),
+  )
+  for time, message in ((0.7, 'not at a knot'), (1.2, 'outside of the plan')):
+    values['pushes'] = [{'time': time, 'velocity': [0.5, 0.0, 0.0]}]
+    with pytest.raises(ValueError, match=message):
+      plan_lib.course(values)
+  values['pushes'] = None
+  with pytest.raises(ValueError, match='no pushes: None'):
+    plan_lib.course(values)
 
 
 def test_read(tmp_path: pathlib.Path) -> None:

@@ -1,7 +1,7 @@
 """Tests of dmc_multimode.planner.problem, with a policy that can walk."""
 
 import functools
-from typing import Any
+from typing import Any, Sequence
 
 import numpy as np
 import pytest
@@ -9,9 +9,11 @@ import pytest
 from dmc_multimode import pretrained
 from dmc_multimode.arenas import track
 from dmc_multimode.planner import problem as problem_lib
+from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.suite import reaching
 
-_IDLE, _WALK = 0, 1
+_IDLE, _WALK, _LEAP = range(3)
+_FAR: dict[str, Any] = {'knots': 8, 'goal': (2.0, 0.0, 0.5)}
 
 
 @functools.cache
@@ -20,13 +22,16 @@ def _policy() -> pretrained.Policy:
 
 
 def _problem(
-  num_worlds: int, arena: str = 'flat', **changes: Any
+  num_worlds: int,
+  arena: str = 'flat',
+  pushes: Sequence[pushes_lib.Push] = (),
+  **changes: Any,
 ) -> problem_lib.ReachingProblem:
   config = reaching.ReachingConfig(
     **{'goal': (0.5, 0.0, 0.5), 'knots': 4, 'knot_duration': 0.3, **changes}
   )
   return problem_lib.ReachingProblem(
-    _policy(), track.make(arena), config, num_worlds, 1
+    _policy(), track.make(arena), config, num_worlds, 1, pushes
   )
 
 
@@ -87,6 +92,109 @@ def test_take() -> None:
   np.testing.assert_array_equal(
     branched.path.swapaxes(0, 1), whole.paths[:, 10:]
   )
+
+
+def _run(
+  problem: problem_lib.ReachingProblem, plan: Sequence[int]
+) -> np.ndarray:
+  """Runs all worlds under one plan; returns their paths, [B, T, 3]."""
+  knots = [problem.run_knot(np.full(problem.num_worlds, mode)) for mode in plan]
+  return problem_lib.trials(knots).paths
+
+
+def test_begin_at() -> None:
+  """All worlds go on as the other one would, now and after every reset."""
+  robot, problem = _problem(1, 'block'), _problem(3, 'block')
+  whole = _run(robot, [_WALK, _LEAP, _LEAP, _WALK])
+  robot.reset()
+  _run(robot, [_WALK, _LEAP])
+  assert (robot.knots, robot.remaining) == (4, 2)
+  problem.begin_at(robot)
+  assert (problem.knots, problem.remaining) == (2, 2)
+  rest = _run(problem, [_LEAP, _WALK])
+  np.testing.assert_array_equal(rest[0], rest[2])
+  np.testing.assert_allclose(rest[0], whole[0, 20:], atol=5e-3)
+  again = problem.rollout(np.full((3, 2), [_LEAP, _WALK]))
+  np.testing.assert_array_equal(again.paths, rest)
+  # One world by itself is the same bit for bit, and did not notice.
+  alone = _problem(1, 'block')
+  alone.begin_at(robot)
+  rest = alone.rollout(np.array([[_LEAP, _WALK]])).paths
+  np.testing.assert_array_equal(rest[0], whole[0, 20:])
+  np.testing.assert_array_equal(_run(robot, [_LEAP, _WALK])[0], whole[0, 20:])
+  robot.reset()
+  problem.begin_at(robot)
+  assert problem.knots == 4
+
+
+def test_begin_at_a_fallen_robot() -> None:
+  robot, problem = _problem(1, 'gap', **_FAR), _problem(2, 'gap', **_FAR)
+  _run(robot, [_WALK] * 7)
+  assert not robot.alive[0]
+  problem.begin_at(robot)
+  progress = problem.run_knot(np.array([_IDLE, _WALK]))
+  assert not progress.alive.any() and not progress.reward.any()
+  assert problem.control_steps == 0  # Nothing moves.
+
+
+def test_begin_at_rejects_another_task() -> None:
+  other = problem_lib.ReachingProblem(
+    _policy(), track.make('flat', 9), reaching.ReachingConfig(), 1, 1
+  )
+  with pytest.raises(ValueError, match='worlds of the same task'):
+    _problem(2).begin_at(other)
+
+
+def test_pushes() -> None:
+  """They come at their knots, for all worlds, and after every reset."""
+  pushes = (
+    pushes_lib.Push(0.3, (0.5, -0.3, 0.1)),
+    pushes_lib.Push(0.9, (-0.4, 0.0, 0.0)),
+  )
+  plans = np.array([[_WALK] * 4, [_IDLE] * 4])
+  plain, once = (
+    _problem(2, pushes=pushes[:count]).rollout(plans).paths for count in (0, 1)
+  )
+  np.testing.assert_array_equal(once[:, :10], plain[:, :10])
+  change = (once - plain)[:, 10] / 0.03
+  # The feet hold back a part of it within the first step.
+  assert (np.sign(change[:, :2]) == [1, -1]).all()
+  assert (np.abs(change[:, :2]) > [0.2, 0.1]).all()
+  assert (np.abs(change[:, :2]) < [0.6, 0.4]).all()
+  pushed = _problem(2, pushes=pushes)
+  twice = pushed.rollout(plans).paths
+  np.testing.assert_array_equal(twice[:, :30], once[:, :30])
+  assert ((twice - once)[:, 30, 0] < -0.003).all()
+  np.testing.assert_array_equal(pushed.rollout(plans).paths, twice)
+
+
+@pytest.mark.parametrize('time', [0.2, 1.2, -0.3])
+def test_pushes_are_at_knots(time: float) -> None:
+  with pytest.raises(ValueError, match=f'The push at {time:g} s'):
+    _problem(1, pushes=[pushes_lib.Push(time, (1.0, 0.0, 0.0))])
+
+
+def test_those_that_fell_stay_where_they_fell(
+  capfd: pytest.CaptureFixture[str],
+) -> None:
+  """And cost nothing more; a state that is not finite is not taken over."""
+  problem = _problem(2, 'gap', **_FAR)
+  plan = np.array([_WALK, _IDLE])
+  knots = [problem.run_knot(plan) for _ in range(8)]
+  path = np.concatenate([knot.path for knot in knots])
+  still = np.flatnonzero((np.diff(path[:, 0], axis=0) == 0).all(axis=1))
+  assert 10 < len(still) and (np.diff(still) == 1).all()
+  assert still[-1] == len(path) - 2
+  assert problem.control_steps == 2 * len(path) - len(still)
+  assert (np.diff(path[:, 1], axis=0) != 0).any(axis=1).all()
+
+  problem = _problem(1)
+  _run(problem, [_IDLE])
+  problem._worlds.qvel[0, 8] = np.inf
+  progress = problem.run_knot(np.array([_IDLE]))
+  assert not progress.alive[0]
+  assert np.isfinite(progress.path).all()
+  assert 'nan' not in capfd.readouterr().err.lower()
 
 
 def test_those_that_fell_stay_fallen() -> None:

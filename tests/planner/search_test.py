@@ -22,6 +22,7 @@ class _Toy:
   def __init__(self, num_worlds: int, knots: int = 6, goal: float = 1.6):
     self.config = reaching.ReachingConfig((goal, 0.0, 0.5), knots)
     self.num_worlds, self.num_modes = num_worlds, len(_STRIDES)
+    self.knots = knots
     self.control_steps = 0
     self.reset()
 
@@ -104,6 +105,24 @@ def test_beam_search_where_all_fall() -> None:
   assert found.plans.shape[1] == 6
 
 
+def test_plans_are_as_long_as_the_problem() -> None:
+  """Which is shorter where the plan begins on the way."""
+  toy: Any = _Toy(9)
+  toy.config = reaching.ReachingConfig((1.6, 0.0, 0.5), 11)
+  found = search.beam_search(toy, search.BeamConfig(3))
+  assert found.plans.shape[1] == 6
+  learned = q_learning.q_learning(toy, q_learning.QLearningConfig(9, 2))
+  assert learned.plans.shape == (18, 6)
+
+
+def test_escalation() -> None:
+  assert search.BeamConfig().escalation() == [
+    search.BeamConfig(24, 1),
+    search.BeamConfig(48, 1),
+    search.BeamConfig(96, 1),
+  ]
+
+
 @pytest.mark.parametrize('seed', range(3))
 def test_q_learning_finds_a_plan(seed: int) -> None:
   toy: Any = _Toy(5)
@@ -159,6 +178,7 @@ def test_epsilon_greedy() -> None:
   ('config', 'changes', 'message'),
   [
     (search.BeamConfig, {'beams': 0}, 'beams'),
+    (search.BeamConfig, {'attempts': 0}, 'attempts'),
     (q_learning.QLearningConfig, {'trials': 0}, 'trials'),
     (q_learning.QLearningConfig, {'episodes': -1}, 'episodes'),
     (q_learning.QLearningConfig, {'learning_rate': 0.0}, 'learning_rate'),

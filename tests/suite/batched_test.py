@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 
 from dmc_multimode.arenas import layouts
+from dmc_multimode.arenas import terrain
 from dmc_multimode.modes import codebook
 from dmc_multimode.modes import library
 from dmc_multimode.modes import reference
@@ -108,6 +109,16 @@ class ParityTest(parameterized.TestCase):
         env.task.core.terrain, worlds.core.terrain, strict=True
       ):
         np.testing.assert_allclose(mine, theirs, atol=_TOLERANCE)
+      for mine, theirs in zip(
+        env.task.core.tracker.state, worlds.core.tracker.state, strict=True
+      ):
+        np.testing.assert_allclose(mine, theirs, atol=_TOLERANCE)
+      np.testing.assert_allclose(  # The boxes.
+        env.physics.data.mocap_pos,
+        worlds.batch.bind('mocap_pos')[0],
+        atol=_TOLERANCE,
+        err_msg=message,
+      )
       ran.add(int(worlds.core.tracker.state.mode[0]))
       if time_step.last():
         cause = terminations.CAUSES[other.results.causes[0]]
@@ -131,6 +142,29 @@ class ParityTest(parameterized.TestCase):
     env = multimode_biped.make_environment(_task(arena, _ENDING), 0, None)
     lengths = [self._drive(env, mode)[0] for mode in range(len(_MOTIONS))]
     self.assertLess(np.median(lengths), _STEPS)  # Most of them end.
+
+  @parameterized.product(task_config=(_ENDLESS, _ENDING), share=(0.5, 1.0))
+  def test_obstacles(
+    self, task_config: config.ImitationConfig, share: float
+  ) -> None:
+    """Drawn at the start, which may be anywhere in a mode, and at switches."""
+    task_config = dataclasses.replace(
+      task_config, obstacles=share, reference_starts=0.5
+    )
+    env = multimode_biped.make_environment(_task('flat', task_config), 0, None)
+    met, lengths = [], []
+    for mode in range(len(_MOTIONS)):
+      lengths.append(self._drive(env, mode)[0])
+      ground = env.task.core.terrain
+      met.append(
+        np.isfinite(ground.starts[0]).sum() > 1
+        and not np.isin(ground.tops, (0.0, 0.4)).all()
+      )
+    self.assertGreater(sum(met), 1)
+    if task_config.limits is _ENDLESS.limits:
+      self.assertEqual(set(lengths), {_STEPS})
+    else:
+      self.assertLess(np.median(lengths), _STEPS)
 
   def test_time_limit(self) -> None:
     task_config = dataclasses.replace(_ENDLESS, time_limit=0.45)
@@ -327,9 +361,12 @@ class AutoResetTest(parameterized.TestCase):
 
 
 class StateTest(parameterized.TestCase):
-  @parameterized.parameters(False, True)
-  def test_restored_worlds_go_on_bit_for_bit(self, more: bool) -> None:
-    worlds = batched.BatchedImitation(_transitions(), 8, 0, 2, privileged=more)
+  @parameterized.product(more=(False, True), obstacles=(0.0, 0.7))
+  def test_restored_worlds_go_on_bit_for_bit(
+    self, more: bool, obstacles: float
+  ) -> None:
+    task = _transitions(dataclasses.replace(_ENDING, obstacles=obstacles))
+    worlds = batched.BatchedImitation(task, 8, 0, 2, privileged=more)
     worlds.reset()
     seen = _rollout(worlds, 25)[-1].observation
     state = worlds.state()
@@ -337,7 +374,9 @@ class StateTest(parameterized.TestCase):
     first = _rollout(worlds, 50, seed=1)
     for name, value in state.items():
       np.testing.assert_array_equal(value, copies[name], err_msg=name)
-    other = batched.BatchedImitation(_transitions(), 8, 99, 1, privileged=more)
+    # Its episodes are its own.
+    task = _transitions(dataclasses.replace(_ENDING, obstacles=obstacles))
+    other = batched.BatchedImitation(task, 8, 99, 1, privileged=more)
     other.reset()
     observation = other.restore(state)
     np.testing.assert_array_equal(observation, seen)
@@ -346,6 +385,30 @@ class StateTest(parameterized.TestCase):
     _assert_same(first, second)
     np.testing.assert_array_equal(worlds.restore(state), observation)
     _assert_same(first, _rollout(worlds, 50, seed=1))
+
+  def test_step_that_is_expected_is_in_it(self) -> None:
+    """Without it, references would be elsewhere over blocks."""
+    task = _transitions(dataclasses.replace(_ENDLESS, obstacles=1.0))
+    worlds, other = (
+      batched.BatchedImitation(task, 16, seed, 1, privileged=True)
+      for seed in (0, 1)
+    )
+    worlds.reset()
+    _rollout(worlds, 10)
+    tracked = worlds.core.tracker.state
+    expecting = np.isfinite(tracked.edge)
+    self.assertBetween(expecting.sum(), 1, 15)
+    np.testing.assert_array_equal(tracked.rise, np.where(expecting, 0.4, 0.0))
+    other.reset()
+    other.restore(worlds.state())
+    for x in (0.0, 0.3, 1.0):
+      np.testing.assert_array_equal(
+        other.core.reference(np.full(16, x)).position,
+        worlds.core.reference(np.full(16, x)).position,
+      )
+    lifted = worlds.core.reference(np.full(16, 1.0)).position[expecting, 2]
+    lifted -= worlds.core.tracker.reference().position[expecting, 2]
+    self.assertLess(lifted.min(), -0.01)  # Blocks that are too low.
 
   def test_rejects_another_number_of_worlds(self) -> None:
     state = batched.BatchedImitation(_transitions(), 3, 0, 1).state()
@@ -439,6 +502,78 @@ class SchedulesTest(parameterized.TestCase):
       bounds.append(worlds.core.limits.distance)
     # After 8, 16, 24, ... control steps of all worlds.
     np.testing.assert_allclose(bounds, [1.8, 1.6, 1.4, 1.2, 1.0, 1.0])
+
+  def test_obstacles_begin(self) -> None:
+    """Episodes of 2 steps begin after 16, 32, ... control steps."""
+    worlds = self._worlds(obstacles=0.5, obstacles_start=40, time_limit=0.06)
+    shares, low = [worlds.core.obstacle_share], []
+    for _ in range(8):
+      self._step(worlds)
+      shares.append(worlds.core.obstacle_share)
+      low.append(bool(np.any(worlds.core.terrain.tops[:, 1] < 0.4)))
+    # After 0, 8, 16, ... control steps of all worlds.
+    self.assertEqual(shares, [0.0] * 5 + [0.5] * 4)
+    self.assertEqual(low, [False] * 5 + [True] * 3)
+    other = self._worlds(obstacles=0.5, obstacles_start=40, time_limit=0.06)
+    self.assertEqual(other.core.obstacle_share, 0.0)
+    other.restore(worlds.state())
+    self.assertEqual(other.core.obstacle_share, 0.5)
+
+  def test_obstacles_may_be_there_from_the_start(self) -> None:
+    worlds = self._worlds(obstacles=1.0)
+    self.assertTrue(np.all(worlds.core.terrain.tops[:, 1] < 0.4))
+
+  def test_no_obstacle_before_their_time(self) -> None:
+    """Worlds run as they do without any."""
+    changes: list[dict[str, Any]] = [{}, {'obstacles_start': 10**6}]
+    rollouts = []
+    for share, change in zip((0.0, 1.0), changes, strict=True):
+      task = _transitions(
+        dataclasses.replace(_ENDING, obstacles=share, **change)
+      )
+      worlds = batched.BatchedImitation(task, 8, 0, 1, privileged=True)
+      worlds.reset()
+      rollouts.append(_rollout(worlds, 40))
+    self.assertGreater(sum(step.last.sum() for step in rollouts[0]), 8)
+    _assert_same(*rollouts)
+
+  def test_no_obstacle_in_evaluations(self) -> None:
+    evaluated = config.for_evaluation(
+      dataclasses.replace(_ENDING, obstacles=1.0)
+    )
+    worlds = batched.BatchedImitation(_transitions(evaluated), 16, 0, 1)
+    worlds.reset()
+    for _ in range(4):
+      _rollout(worlds, 20)
+      ground = worlds.core.terrain
+      later = np.isfinite(ground.starts[:, 1:])
+      self.assertTrue(later.any())
+      rises = np.diff(ground.tops, axis=1)[later]
+      np.testing.assert_allclose(rises, 0.4, atol=1e-12)  # Launch's own.
+      np.testing.assert_array_equal(  # And no gap before it.
+        ground.starts[:, 1:][later], ground.ends[:, :-1][later]
+      )
+
+  def test_boxes_are_where_the_ground_is(self) -> None:
+    task = _transitions(dataclasses.replace(_ENDLESS, obstacles=0.8))
+    worlds = batched.BatchedImitation(task, 16, 0, 1, auto_reset=False)
+    worlds.reset()
+    boxes = worlds.batch.bind('mocap_pos')
+    sizes = worlds.batch.expand('geom_size')
+    geoms = [
+      worlds.model.geom(geom.full_identifier).id
+      for geom in task.root_entity.ground_geoms
+    ]
+    bodies = worlds.model.body_mocapid[worlds.model.geom_bodyid[geoms]]
+    seen = []
+    for _ in range(20):
+      centres, halves = terrain.boxes(worlds.core.terrain)
+      np.testing.assert_array_equal(boxes[:, bodies], centres)
+      np.testing.assert_array_equal(sizes[:, geoms], halves)
+      seen.append(centres)
+      _rollout(worlds, 4)
+    moved = [np.any(a != b) for a, b in zip(seen[:-1], seen[1:], strict=True)]
+    self.assertGreater(sum(moved), 3)
 
   @parameterized.parameters(1.0, 0.25, 0.0)
   def test_help_at_take_off(self, share: float) -> None:
@@ -570,7 +705,7 @@ class DivergenceTest(parameterized.TestCase):
 
 def _privileged_parts(observation: np.ndarray) -> dict[str, np.ndarray]:
   """Cuts what follows the policy's observation into its parts."""
-  latents = (observation.shape[1] - 39) // 2
+  latents = (observation.shape[1] - 42) // 2
   parts, start = {}, 33 + latents
   for name, size in privileged.layout(latents):
     parts[name] = observation[:, start : start + size]
@@ -581,9 +716,9 @@ def _privileged_parts(observation: np.ndarray) -> dict[str, np.ndarray]:
 class PrivilegedTest(parameterized.TestCase):
   def test_specs(self) -> None:
     worlds = batched.BatchedImitation(_transitions(), 3, 0, 1, privileged=True)
-    self.assertEqual(worlds.privileged_size, 10)
-    self.assertEqual(worlds.observation_spec().shape, (47,))
-    self.assertEqual(worlds.reset().shape, (3, 47))
+    self.assertEqual(worlds.privileged_size, 13)
+    self.assertEqual(worlds.observation_spec().shape, (50,))
+    self.assertEqual(worlds.reset().shape, (3, 50))
 
   def test_policy_sees_what_it_saw_without(self) -> None:
     plain, more = (
@@ -602,9 +737,11 @@ class PrivilegedTest(parameterized.TestCase):
     self.assertGreater(sum(step.last.sum() for step in cut), 8)
     _assert_same(cut, _rollout(plain, 60))
 
-  def test_position_error_and_contact(self) -> None:
+  @parameterized.parameters(0.0, 1.0)
+  def test_position_error_and_contact(self, obstacles: float) -> None:
     """In every step and in every world, also right after a reset."""
-    worlds = batched.BatchedImitation(_transitions(), 8, 0, 1, privileged=True)
+    task = _transitions(dataclasses.replace(_ENDING, obstacles=obstacles))
+    worlds = batched.BatchedImitation(task, 8, 0, 1, privileged=True)
     observation, touched = worlds.reset(), np.zeros((8, 2))
     random, stand = np.random.RandomState(0), worlds.standing_action()
     contacts, ends = [], 0
@@ -639,6 +776,36 @@ class PrivilegedTest(parameterized.TestCase):
     self.assertGreater(before.sum(), 8)  # Most of them stand.
     after = _privileged_parts(step.observation)['contact']
     np.testing.assert_array_equal(after, np.zeros((8, 2)))
+
+  def test_ground_ahead(self) -> None:
+    """Of worlds on a track: before, over and behind a gap, and of its end."""
+    task = multimode_biped.make_task(
+      _MOTIONS,
+      _BOOK,
+      episodes.ScheduledEpisodes(schedule.single(np.array([0]))),
+      'gap_block',  # Gap from 0.6 to 1.05 m, ground to 1.65 m, 0.4 m up.
+      _ENDLESS,
+    )
+    worlds = batched.BatchedImitation(
+      task, 6, 0, 1, auto_reset=False, privileged=True
+    )
+    worlds.reset()
+    worlds.qpos[:, 0] = [0.0, 0.5, 0.8, 1.1, 1.5, 2.0]
+    worlds.qvel[:] = 0.0
+    step = worlds.step(np.tile(worlds.standing_action(), (6, 1)))
+    x = worlds.qpos[:, 0]
+    np.testing.assert_allclose(
+      _privileged_parts(step.observation)['ground_ahead'],
+      [
+        [1.0, 0.0, 0.0],
+        [1.05 - x[1], 0.0, 0.45],
+        [1.05 - x[2], 0.0, 0.45],
+        [1.65 - x[3], 0.4, 0.0],
+        [1.65 - x[4], 0.4, 0.0],
+        [1.0, 0.0, 0.0],
+      ],
+      atol=_FLOAT32,
+    )
 
   def test_countdown_through_switches(self) -> None:
     """A step of 0.03 s; commands at steps 5 and 65, and none after that."""

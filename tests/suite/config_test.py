@@ -29,6 +29,10 @@ class ImitationConfigTest(parameterized.TestCase):
     ({'physics_timestep': 0.004}, 'divide'),
     ({'physics_timestep': 0.06}, 'divide'),
     ({'reference_starts': 1.5}, 'share'),
+    ({'obstacles': -0.1}, 'obstacles is a share'),
+    ({'obstacles': 1.1}, 'obstacles is a share'),
+    ({'obstacles': float('nan')}, 'obstacles is a share'),
+    ({'obstacles_start': -1}, 'obstacles_start must not be negative'),
     ({'contact_bonus': -0.1}, 'contact_bonus'),
     ({'late_contact_bonus': float('nan')}, 'late_contact_bonus'),
     ({'contact_bonus_start': -1}, 'contact_bonus_start'),
@@ -47,8 +51,11 @@ class ImitationConfigTest(parameterized.TestCase):
         contact_bonus=0.1,
         late_contact_bonus=0.2,
         contact_bonus_end=10,
+        obstacles=0.4,
+        obstacles_start=5,
       )
     )
+    self.assertEqual(values.obstacle_share_after(10**9), 0.0)
     self.assertEqual(values.contact_bonus_after(20), 0.0)
     self.assertEqual((values.assist_steps, values.contact_bonus), (0, 0.0))
     self.assertEqual(values.reference_starts, 0.0)
@@ -90,12 +97,28 @@ class ImitationConfigTest(parameterized.TestCase):
     self.assertEqual(values.contact_bonus_after(6), 0.5)
     self.assertEqual(values.contact_bonus_after(7), 0.0)
 
+  @parameterized.parameters((0, 0.0), (99, 0.0), (100, 0.3), (10**9, 0.3))
+  def test_obstacles_begin(self, steps: int, expected: float) -> None:
+    values = config.ImitationConfig(obstacles=0.3, obstacles_start=100)
+    self.assertEqual(values.obstacle_share_after(steps), expected)
+
+  @parameterized.parameters(0.0, 0.3, 1.0)
+  def test_obstacles_without_a_schedule(self, share: float) -> None:
+    values = config.ImitationConfig(obstacles=share)
+    self.assertEqual(values.obstacle_share_after(0), share)
+
+  def test_no_obstacles_by_default(self) -> None:
+    values = config.ImitationConfig()
+    self.assertEqual(values.obstacle_share_after(10**9), 0.0)
+
   def test_json_round_trip(self) -> None:
     values = config.ImitationConfig(
       gains=rewards.RewardGains(0.35, 0.35, 0.3),
       limits=terminations.TerminationLimits(distance=0.25),
       time_limit=3.0,
       joint_noise=0.01,
+      obstacles=0.4,
+      obstacles_start=7,
     )
     text = json.dumps(config.to_dict(values))
     self.assertEqual(config.from_dict(json.loads(text)), values)

@@ -112,6 +112,31 @@ class InterfaceTest(parameterized.TestCase):
     self.assertEqual(env.observation_space.shape, (37,))
     self.assertEqual(env.action_space.dtype, np.float32)
 
+  def test_modes_as_actions(self) -> None:
+    env = _make('reach_gap', task_kwargs={'policy': 'quickstart'})
+    self.assertEqual(env.action_space, gymnasium.spaces.Discrete(3))
+    self.assertEqual(env.action_space.dtype, np.int64)
+    observation, info = env.reset(seed=1)
+    twin = suite.load(
+      'multimode_biped', 'reach_gap', {'policy': 'quickstart'}
+    ).observation_spec()
+    size = sum(part.shape[0] for part in twin.values())
+    self.assertEqual(observation.shape, (size,))
+    self.assertEqual(info, {'mode': 'idle'})
+    _, reward, *_, info = env.step(env.action_space.dtype.type(1))
+    self.assertEqual(info, {'mode': 'walk_forward'})
+    self.assertBetween(reward, 0.0, 10.0)  # Of ten control steps.
+    with self.assertRaisesRegex(ValueError, 'index of a mode'):
+      env.unwrapped.step(1.5)
+    ends = [env.step(0)[2:4] for _ in range(10)]
+    self.assertEqual(ends, [(False, False)] * 9 + [(False, True)])
+    env.reset()
+    for _ in range(9):  # Into the gap, before the last knot.
+      terminated, truncated = env.step(1)[2:4]
+      if terminated or truncated:
+        break
+    self.assertEqual((terminated, truncated), (True, False))
+
   def test_fall_terminates_and_time_limit_truncates(self) -> None:
     env = _make('idle', time_limit=0.3)
     env.reset(seed=0)

@@ -8,9 +8,12 @@ from dmc_multimode.suite import privileged
 
 
 def _observe(
-  heading: float = 0.0, countdown: float = 0.6
+  heading: float = 0.0, countdown: float = 0.6, distance: float = 0.25
 ) -> dict[str, np.ndarray]:
-  """Of a robot that is 0.1 m ahead, 0.2 m to the left and 0.3 m too low."""
+  """Of a robot that is 0.1 m ahead, 0.2 m to the left and 0.3 m too low.
+
+  Ahead of it, behind a gap of 0.2 m, the ground is 0.1 m lower.
+  """
   return dict(
     privileged.observe(
       position=np.array([[5.1, 6.2, 0.2]]),
@@ -19,12 +22,15 @@ def _observe(
       contact=np.array([[1.0, 0.0]]),
       countdown=np.array([countdown]),
       next_command=np.array([[7.0, 8.0, 9.0]]),
+      edge=np.array([5.1 + distance]),
+      rise=np.array([-0.1]),
+      gap=np.array([0.2]),
     )
   )
 
 
 class LayoutTest(parameterized.TestCase):
-  @parameterized.parameters((1, 7), (4, 10), (11, 17))
+  @parameterized.parameters((1, 10), (4, 13), (11, 20))
   def test_size(self, command_size: int, expected: int) -> None:
     self.assertEqual(privileged.size(command_size), expected)
 
@@ -38,6 +44,7 @@ class LayoutTest(parameterized.TestCase):
         ('contact', 2),
         ('countdown', 1),
         ('next_command', 3),
+        ('ground_ahead', 3),
       ],
     )
 
@@ -72,8 +79,35 @@ class ObserveTest(parameterized.TestCase):
     np.testing.assert_array_equal(parts['contact'], [[1.0, 0.0]])
     np.testing.assert_array_equal(parts['next_command'], [[7.0, 8.0, 9.0]])
 
+  @parameterized.parameters(0.01, 0.25, 0.99)
+  def test_ground_ahead(self, distance: float) -> None:
+    """Distance, height and gap; where the commanded heading is matters not."""
+    for heading in (0.0, 2.0):
+      parts = _observe(heading, distance=distance)
+      np.testing.assert_allclose(
+        parts['ground_ahead'], [[distance, -0.1, 0.2]], atol=1e-12
+      )
+
+  @parameterized.parameters(1.01, 5.0, np.inf)
+  def test_what_is_far_ahead_looks_level(self, distance: float) -> None:
+    parts = _observe(distance=distance)
+    np.testing.assert_array_equal(parts['ground_ahead'], [[1.0, 0.0, 0.0]])
+
+  def test_sight_ends_at_one_metre(self) -> None:
+    parts = privileged.observe(
+      *np.zeros((2, 1, 3)),
+      heading=np.zeros(1),
+      contact=np.zeros((1, 2)),
+      countdown=np.zeros(1),
+      next_command=np.zeros((1, 4)),
+      edge=np.ones(1),
+      rise=np.full(1, 0.4),
+      gap=np.full(1, 0.3),
+    )
+    np.testing.assert_array_equal(parts['ground_ahead'], [[1.0, 0.0, 0.0]])
+
   def test_worlds_are_told_apart(self) -> None:
-    """Each world has its own error, heading and countdown."""
+    """Each world has its own error, heading, countdown and ground."""
     parts = privileged.observe(
       position=np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 2.0]]),
       reference=np.zeros((2, 3)),
@@ -81,12 +115,15 @@ class ObserveTest(parameterized.TestCase):
       contact=np.array([[1.0, 0.0], [0.0, 0.0]]),
       countdown=np.array([np.inf, 0.3]),
       next_command=np.array([[0.0], [1.0]]),
+      edge=np.array([1.5, np.inf]),
+      rise=np.array([0.4, 0.0]),
+      gap=np.array([0.25, 0.0]),
     )
     np.testing.assert_allclose(
       np.concatenate(list(parts.values()), axis=1),
       [
-        [1.0, 0.0, 0.0, 1.0, 0.0, 1.5, 0.0],
-        [0.0, -1.0, 2.0, 0.0, 0.0, 0.3, 1.0],
+        [1.0, 0.0, 0.0, 1.0, 0.0, 1.5, 0.0, 0.5, 0.4, 0.25],
+        [0.0, -1.0, 2.0, 0.0, 0.0, 0.3, 1.0, 1.0, 0.0, 0.0],
       ],
       atol=1e-12,
     )

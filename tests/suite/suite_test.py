@@ -5,15 +5,16 @@ from typing import Any, Iterator
 
 from absl.testing import absltest
 from absl.testing import parameterized
-from dm_control import composer
 from dm_control import suite as dm_suite
 import dm_env
+from dm_env import specs
 from dm_env import test_utils
 import numpy as np
 
 from dmc_multimode import suite
 from dmc_multimode.modes import library
 from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite import reaching
 
 _DOMAIN = 'multimode_biped'
 _TASKS = tuple(task for _, task in suite.ALL_TASKS)
@@ -21,22 +22,28 @@ _TIME_LIMIT = 0.3  # Seconds: short episodes, so that their ends are met.
 _FROZEN = ('ALL_TASKS', 'BENCHMARKING', 'EASY', 'HARD', 'EXTRA', 'REWARD_VIZ')
 
 
-def _load(task: str, seed: int = 0, **kwargs: Any) -> composer.Environment:
+def _load(task: str, seed: int = 0, **kwargs: Any) -> dm_env.Environment:
   return suite.load(
     _DOMAIN, task, {'random': seed, 'time_limit': _TIME_LIMIT}, **kwargs
   )
 
 
 def _trajectory(
-  env: composer.Environment, episodes: int = 2
+  env: dm_env.Environment, episodes: int = 2
 ) -> Iterator[dm_env.TimeStep]:
   """Random actions within the specification."""
   random, spec = np.random.RandomState(0), env.action_spec()
+
+  def act() -> np.ndarray:
+    if isinstance(spec, specs.DiscreteArray):
+      return random.randint(spec.num_values)
+    return random.uniform(spec.minimum, spec.maximum)
+
   for _ in range(episodes):
     time_step = env.reset()
     yield time_step
     while not time_step.last():
-      time_step = env.step(random.uniform(spec.minimum, spec.maximum))
+      time_step = env.step(act())
       yield time_step
 
 
@@ -47,21 +54,26 @@ class ContractTest(parameterized.TestCase):
   def test_task(self, task: str) -> None:
     env, same = _load(task), _load(task)
     self._check_model(env)
-    specs = env.observation_spec()
-    self.assertIsInstance(env.action_spec(), dm_env.specs.BoundedArray)
-    self.assertEqual(env.action_spec().shape, (10,))
-    firsts = []
+    parts, firsts = env.observation_spec(), []
+    self._check_actions(env.action_spec())
+    # A step is worth at most 1, or that for each control step in it.
+    highest = env.control_timestep() / env.task.control_timestep
     steps = zip(_trajectory(env), _trajectory(same), strict=True)
     for time_step, other in steps:
-      self._check_step(time_step, specs)
+      self._check_step(time_step, parts, highest)
       self._assert_equal(time_step, other)
       if time_step.first():
         firsts.append(time_step.observation)
     self.assertFalse(  # Initial states are random.
-      all(np.array_equal(firsts[0][name], firsts[1][name]) for name in specs)
+      all(np.array_equal(firsts[0][name], firsts[1][name]) for name in parts)
     )
 
-  def _check_model(self, env: composer.Environment) -> None:
+  def _check_actions(self, spec: Any) -> None:
+    self.assertIsInstance(spec, specs.BoundedArray)
+    is_mode = isinstance(spec, specs.DiscreteArray)
+    self.assertEqual(spec.shape, () if is_mode else (10,))
+
+  def _check_model(self, env: dm_env.Environment) -> None:
     model = env.physics.model
     self.assertGreaterEqual(model.ncam, 2)
     for kind, count in (
@@ -75,14 +87,16 @@ class ContractTest(parameterized.TestCase):
       for i in range(count):
         self.assertNotEmpty(model.id2name(i, kind))
 
-  def _check_step(self, time_step: dm_env.TimeStep, specs: Any) -> None:
-    self.assertEqual(set(time_step.observation), set(specs))
+  def _check_step(
+    self, time_step: dm_env.TimeStep, parts: Any, highest: float
+  ) -> None:
+    self.assertEqual(list(time_step.observation), list(parts))
     for name, value in time_step.observation.items():
-      specs[name].validate(value)
+      parts[name].validate(value)
       self.assertTrue(np.isfinite(value).all(), name)
     if not time_step.first():
       self.assertIsInstance(time_step.reward, float)
-      self.assertBetween(time_step.reward, 0.0, 1.0)
+      self.assertBetween(time_step.reward, 0.0, highest)
       self.assertIn(time_step.discount, (0.0, 1.0))
 
   def _assert_equal(self, one: dm_env.TimeStep, other: dm_env.TimeStep) -> None:
@@ -90,18 +104,18 @@ class ContractTest(parameterized.TestCase):
     for name, value in one.observation.items():
       np.testing.assert_array_equal(value, other.observation[name])
 
-  @parameterized.parameters('idle', 'pi2')
+  @parameterized.parameters('idle', 'pi2', 'reach_gap')
   def test_seeds_differ(self, task: str) -> None:
     observed = [
       _load(task, seed).reset().observation['joints_pos'] for seed in (0, 1)
     ]
     self.assertFalse(np.array_equal(*observed))
 
-  @parameterized.parameters('idle', 'pi2')
+  @parameterized.parameters('idle', 'pi2', 'reach_gap')
   def test_observations_share_no_memory(self, task: str) -> None:
     env = _load(task)
     first = env.reset().observation
-    second = env.step(np.zeros(10)).observation
+    second = env.step(env.action_spec().generate_value()).observation
     for name, value in first.items():
       self.assertFalse(np.may_share_memory(value, second[name]), name)
 
@@ -129,7 +143,7 @@ class _EnvironmentTests(test_utils.EnvironmentTestMixin):
 
   task = ''
 
-  def make_object_under_test(self) -> composer.Environment:
+  def make_object_under_test(self) -> dm_env.Environment:
     return _load(self.task)
 
   def make_action_sequence(self) -> Iterator[np.ndarray]:
@@ -146,7 +160,8 @@ for _task in _TASKS:
 
 class TasksTest(parameterized.TestCase):
   def test_every_mode_and_set_has_a_task(self) -> None:
-    self.assertEqual(_TASKS, (*library.modes(), 'pi1', 'pi2', 'pi3'))
+    reach = tuple(f'reach_{track}' for track in reaching.TRACKS)
+    self.assertEqual(_TASKS, (*library.modes(), 'pi1', 'pi2', 'pi3', *reach))
 
   @parameterized.parameters(*library.modes())
   def test_single_mode_is_commanded(self, mode: str) -> None:
@@ -177,17 +192,19 @@ class TasksTest(parameterized.TestCase):
     env = suite.load(_DOMAIN, 'idle')
     self.assertEqual(env.task.config.time_limit, 4.5)
 
-  @parameterized.parameters(0.0, -1.0)
-  def test_rejects_time_limit(self, seconds: float) -> None:
+  @parameterized.product(
+    task=('idle', 'reach_gap'), seconds=(0.0, -1.0, np.inf, np.nan)
+  )
+  def test_rejects_time_limit(self, task: str, seconds: float) -> None:
     with self.assertRaisesRegex(ValueError, 'time_limit'):
-      suite.load(_DOMAIN, 'idle', {'time_limit': seconds})
+      suite.load(_DOMAIN, task, {'time_limit': seconds})
 
-  @parameterized.parameters(False, True)
-  def test_visualize_reward(self, visualize: bool) -> None:
-    env = _load('idle', visualize_reward=visualize)
+  @parameterized.product(task=('idle', 'reach_gap'), visualize=(False, True))
+  def test_visualize_reward(self, task: str, visualize: bool) -> None:
+    env = _load(task, visualize_reward=visualize)
     self.assertEqual(env.task.visualize_reward, visualize)
     env.reset()
-    env.step(np.zeros(10))
+    env.step(env.action_spec().generate_value())
 
   def test_environment_kwargs(self) -> None:
     env = _load(
@@ -210,6 +227,7 @@ class RegistryTest(parameterized.TestCase):
     self.assertContainsSubset(ours, dm_suite.EASY + dm_suite.HARD)
     self.assertIn((_DOMAIN, 'idle'), dm_suite.EASY)
     self.assertIn((_DOMAIN, 'pi1'), dm_suite.HARD)
+    self.assertIn((_DOMAIN, 'reach_gap'), dm_suite.HARD)
     self.assertIn(('cartpole', 'swingup'), dm_suite.BENCHMARKING)
     self.assertIn(('walker', 'walk'), dm_suite.ALL_TASKS)
     count = sum(len(tasks) for tasks in dm_suite.TASKS_BY_DOMAIN.values())

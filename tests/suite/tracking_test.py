@@ -193,6 +193,67 @@ class CommandTest(parameterized.TestCase):
     np.testing.assert_allclose(left, [0.82] * count, atol=half)
 
 
+class ExpectedSupportTest(parameterized.TestCase):
+  """The step that a mode is about to climb."""
+
+  def _expecting(self) -> tracking.ModeTracker:
+    """Three worlds on supports of 0, 0.1 and 0.2 m; the last two climb."""
+    tracker = _tracker(num_worlds=3)
+    tracker.reset(
+      np.arange(3),
+      schedule.single(np.array([_GO, _JUMP, _JUMP])),
+      np.zeros(3),
+      np.array([0.0, 0.1, 0.2]),
+    )
+    tracker.expect_step(np.array([1, 2]), np.array([0.25, np.inf]), 0.4)
+    return tracker
+
+  @parameterized.parameters(
+    (0.0, (0.0, 0.1, 0.2)),
+    (0.2499, (0.0, 0.1, 0.2)),
+    (0.25, (0.0, 0.5, 0.2)),  # An edge belongs to what starts there.
+    (100.0, (0.0, 0.5, 0.2)),  # And one that is nowhere is never reached.
+  )
+  def test_by_hand(
+    self, x: float, expected: tuple[float, float, float]
+  ) -> None:
+    tracker = self._expecting()
+    np.testing.assert_array_equal(
+      tracker.expected_support(np.full(3, x)), expected
+    )
+    some = np.array([2, 1])
+    np.testing.assert_array_equal(
+      tracker.expected_support(np.full(2, x), some), np.array(expected)[some]
+    )
+
+  def test_next_command_forgets_the_step(self) -> None:
+    tracker, far = self._expecting(), np.full(3, 9.0)
+    tracker.command(
+      np.array([1]), np.array([_GO]), np.zeros((1, 3)), np.array([0.5])
+    )
+    np.testing.assert_array_equal(
+      tracker.expected_support(far), [0.0, 0.5, 0.2]
+    )
+    self.assertEqual(tracker.state.edge[1], np.inf)
+    self.assertEqual(tracker.state.rise[1], 0.0)
+
+  def test_next_episode_forgets_the_step(self) -> None:
+    tracker, far = self._expecting(), np.full(3, 9.0)
+    plan = schedule.single(np.array([_JUMP]))
+    tracker.reset(np.array([1]), plan, np.zeros(1), np.array([0.3]))
+    np.testing.assert_array_equal(
+      tracker.expected_support(far), [0.0, 0.3, 0.2]
+    )
+
+  def test_mode_that_goes_on_remembers_it(self) -> None:
+    tracker = self._expecting()
+    for _ in range(9):
+      tracker.advance()
+      self.assertEmpty(tracker.due()[0])
+    np.testing.assert_array_equal(tracker.state.edge, [np.inf, 0.25, np.inf])
+    self.assertEqual(tracker.expected_support(np.full(3, 0.3))[1], 0.5)
+
+
 class UpcomingTest(parameterized.TestCase):
   """What is commanded next; `_TIMESTEP` is 0.25 s."""
 

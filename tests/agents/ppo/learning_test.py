@@ -944,16 +944,18 @@ def test_mirror_image_of_real_observations(mirrored: _Mirrored) -> None:
 
 
 def test_mirror_image_of_privileged_parts_by_hand(mirrored: _Mirrored) -> None:
-  """Position error, contacts, countdown, and the command after this one."""
+  """Position error, contacts, countdown, next command and ground ahead."""
   latents = torch.tensor(mirrored.environment.codebook.latents)
   left, right = (mirrored.names.index(f'walk_{s}') for s in ('left', 'right'))
-  seen = torch.zeros(1, 47)
+  seen = torch.zeros(1, 50)
   seen[0, 2:6], seen[0, 43:47] = latents[0], latents[left]
   seen[0, 37:43] = torch.tensor([0.1, 0.2, 0.3, 1.0, 0.0, 0.6])
+  seen[0, 47:] = torch.tensor([0.4, -0.1, 0.2])
   image = mirrored.mirror.observations(seen)
   expected = torch.tensor([0.1, -0.2, 0.3, 0.0, 1.0, 0.6])
   assert torch.equal(image[0, 37:43], expected)
   assert torch.equal(image[0, 43:47], latents[right])
+  assert torch.equal(image[0, 47:], seen[0, 47:])
   assert torch.equal(image[0, 2:6], latents[0])
 
 

@@ -1,0 +1,101 @@
+"""Pushes that a robot meets on its way, and that no planner knows of."""
+
+import dataclasses
+from typing import Any, Sequence
+
+import numpy as np
+
+_TOLERANCE = 1e-6  # Seconds.
+_MOST = 1e4  # Seconds or m/s; more is a mistake.
+
+
+@dataclasses.dataclass(frozen=True)
+class Push:
+  """A sudden change of the trunk's velocity.
+
+  Attributes:
+    time: seconds since the start.
+    velocity: what is added to the trunk's, world m/s (x, y, z).
+  """
+
+  time: float
+  velocity: tuple[float, float, float]
+
+  def __post_init__(self) -> None:
+    if len(self.velocity) != 3 or not all(
+      isinstance(number, (int, float))
+      and not isinstance(number, bool)
+      and abs(number) <= _MOST
+      for number in (self.time, *self.velocity)
+    ):
+      raise ValueError(
+        'A push is a time in seconds and a velocity (x, y, z) in m/s, got '
+        f'{self.time!r} and {self.velocity!r}.'
+      )
+
+
+def parse(text: str) -> Push:
+  """Parses 'SECONDS:VX' or 'SECONDS:VX:VY', m/s in the world.
+
+  Raises:
+    ValueError: with one line that quotes the text.
+  """
+  try:
+    time, x, *rest = (float(number) for number in text.split(':'))
+    (y,) = rest or (0.0,)
+    return Push(time, (x, y, 0.0))
+  except ValueError as error:
+    raise ValueError(
+      f'{text!r} is no push, which is SECONDS:VX or SECONDS:VX:VY in m/s.'
+    ) from error
+
+
+def to_list(pushes: Sequence[Push]) -> list[dict[str, Any]]:
+  """Returns the pushes as JSON-able values."""
+  return [
+    {'time': push.time, 'velocity': list(push.velocity)} for push in pushes
+  ]
+
+
+def from_list(values: Any) -> tuple[Push, ...]:
+  """Returns what `to_list` was given.
+
+  Raises:
+    ValueError: a value is missing or of the wrong kind.
+  """
+  try:
+    return tuple(
+      Push(value['time'], tuple(value['velocity'])) for value in values
+    )
+  except (KeyError, TypeError) as error:
+    raise ValueError(f'These are no pushes: {values!r}.') from error
+
+
+def by_knot(
+  pushes: Sequence[Push], knots: int, knot_duration: float
+) -> dict[int, np.ndarray]:
+  """Returns the velocities that are added at the knots, m/s, each [3].
+
+  Args:
+    pushes: in any order; those of one knot add up.
+    knots: of the plan in which they happen.
+    knot_duration: seconds from knot to knot.
+
+  Raises:
+    ValueError: a push is not at the time of one of these knots.
+  """
+  found: dict[int, np.ndarray] = {}
+  for push in pushes:
+    knot = round(push.time / knot_duration)
+    if abs(knot * knot_duration - push.time) > _TOLERANCE:
+      raise ValueError(
+        f'The push at {push.time:g} s is not at a knot: there is one every '
+        f'{knot_duration:g} s.'
+      )
+    if not 0 <= knot < knots:
+      raise ValueError(
+        f'The push at {push.time:g} s is outside of the plan, whose last knot '
+        f'is at {(knots - 1) * knot_duration:g} s.'
+      )
+    found[knot] = found.get(knot, np.zeros(3)) + push.velocity
+  return found

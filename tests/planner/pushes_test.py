@@ -1,0 +1,70 @@
+"""Tests of dmc_multimode.planner.pushes."""
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dmc_multimode.planner import pushes
+
+_SOME = (
+  pushes.Push(0.6, (0.5, 0.0, 0.0)),
+  pushes.Push(0.0, (-0.3, 0.2, 0.1)),
+  pushes.Push(0.6, (0.0, -1.0, 0.0)),
+)
+
+
+def test_parse() -> None:
+  assert pushes.parse('0.6:-0.5') == pushes.Push(0.6, (-0.5, 0.0, 0.0))
+  assert pushes.parse('1:0.5:2') == pushes.Push(1.0, (0.5, 2.0, 0.0))
+
+
+@pytest.mark.parametrize(
+  'text', ['', '1', '1:', 'x:1', '1:2:3:4', '1:nan', 'inf:1', '1:1e300']
+)
+def test_parse_rejects(text: str) -> None:
+  with pytest.raises(ValueError, match=f"'{text}' is no push"):
+    pushes.parse(text)
+
+
+def test_round_trip() -> None:
+  values = json.loads(json.dumps(pushes.to_list(_SOME)))
+  assert pushes.from_list(values) == _SOME
+  assert pushes.from_list([]) == ()
+
+
+@pytest.mark.parametrize(
+  'value',
+  [
+    3,
+    [3],
+    ['push'],
+    [{'time': 0.3}],
+    [{'time': 0.3, 'velocity': 1.0}],
+    [{'time': 0.3, 'velocity': [1.0, 0.0]}],
+    [{'time': '0.3', 'velocity': [1.0, 0.0, 0.0]}],
+    [{'time': True, 'velocity': [1.0, 0.0, 0.0]}],
+    [{'time': 0.3, 'velocity': [1.0, 0.0, math.nan]}],
+    [{'time': 0.3, 'velocity': [1.0, 0.0, 10**400]}],
+    [{'time': 0.3, 'velocity': ['x', 'y', 'z']}],
+  ],
+)
+def test_from_list_rejects(value: Any) -> None:
+  with pytest.raises(ValueError, match=r'push'):
+    pushes.from_list(value)
+
+
+def test_by_knot() -> None:
+  found = pushes.by_knot(_SOME, 5, 0.3)
+  assert found.keys() == {0, 2}
+  np.testing.assert_allclose(found[0], [-0.3, 0.2, 0.1])
+  np.testing.assert_allclose(found[2], [0.5, -1.0, 0.0])
+  for time, message in (
+    (0.31, 'at 0.31 s is not at a knot: there is one every 0.3 s'),
+    (-0.3, 'outside of the plan'),
+    (1.5, 'whose last knot is at 1.2 s'),
+  ):
+    with pytest.raises(ValueError, match=message):
+      pushes.by_knot([pushes.Push(time, (1.0, 0.0, 0.0))], 5, 0.3)

@@ -1,0 +1,124 @@
+"""Tests of dmc_multimode.planner.replanning, with a policy that can walk."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dmc_multimode import pretrained
+from dmc_multimode.arenas import track
+from dmc_multimode.planner import plan as plan_lib
+from dmc_multimode.planner import planning
+from dmc_multimode.planner import pushes as pushes_lib
+from dmc_multimode.planner import q_learning
+from dmc_multimode.planner import replanning
+from dmc_multimode.planner import search
+from dmc_multimode.suite import reaching
+
+# Time enough to stand there for a while, and to be pushed back.
+_CONFIG = reaching.ReachingConfig((0.7, 0.0, 0.5), 11, 0.3)
+_PUSHES = tuple(pushes_lib.Push(time, (-1.0, 0.0, 0.0)) for time in (1.2, 1.8))
+
+
+_SHORT = reaching.ReachingConfig((0.4, 0.0, 0.5), 4, 0.3)
+
+
+@pytest.fixture(scope='module')
+def policy() -> pretrained.Policy:
+  return pretrained.load('quickstart')
+
+
+def _solver(
+  policy: pretrained.Policy,
+  config: reaching.ReachingConfig,
+  planner: planning.PlannerConfig,
+) -> planning.Solver:
+  return planning.Solver(
+    policy, lambda: track.make('flat'), config, planner, num_threads=1
+  )
+
+
+def test_a_plan_survives_pushes(policy: pretrained.Policy) -> None:
+  """Open loop the robot ends where it was pushed to; replanning it returns."""
+  solver = _solver(policy, _CONFIG, search.BeamConfig(3, attempts=1))
+  lost = replanning.solve(solver, _PUSHES)
+  reports: list[planning.Status] = []
+  found = replanning.solve(solver, _PUSHES, 2, reports.append)
+  assert not lost.success
+  assert found.success
+  assert lost.final_position[0] < 0.35 < found.final_position[0]
+  # Nobody knows of the pushes beforehand.
+  assert found.plan.modes[:6] == lost.plan.modes[:6]
+  assert found.plan.modes != lost.plan.modes
+  begins = list(dict.fromkeys(status.search for status in reports))
+  assert begins[0] == '3 beams from 0.00 s' and len(begins) > 1
+  assert reports[-1].total < 11
+  assert found.rollouts > lost.rollouts
+  assert found.control_steps > lost.control_steps
+  for each in (lost, found):
+    assert len(each.plan.modes) == 11
+    assert each.path.shape == (110, 3)
+    arena = track.make('flat')
+    again = planning.replay(policy, arena, _CONFIG, each.plan, _PUSHES)
+    np.testing.assert_array_equal(again.paths[0], each.path)
+    assert again.returns[0] == pytest.approx(each.episode_return)
+    assert again.success[0] == each.success
+
+
+def test_without_pushes_the_first_plan_is_kept(
+  policy: pretrained.Policy,
+) -> None:
+  solver = _solver(policy, _SHORT, search.BeamConfig(2, attempts=1))
+  open_loop, found = solver.solve(), replanning.solve(solver, every=1)
+  assert found.success
+  assert found.plan == open_loop.plan
+  np.testing.assert_array_equal(found.path, open_loop.path)
+  assert found.rollouts == open_loop.rollouts
+  # It is tried again at three knots, each of 10 control steps.
+  assert found.control_steps == open_loop.control_steps + 10 * (3 + 2 + 1)
+  for every in (0, 99):
+    found = replanning.solve(solver, every=every)
+    assert found.plan == open_loop.plan
+    assert found.control_steps == open_loop.control_steps
+
+
+def test_q_learning_replans(policy: pretrained.Policy) -> None:
+  config = dataclasses.replace(_SHORT, goal=(5.0, 0.0, 0.5))
+  solver = _solver(policy, config, q_learning.QLearningConfig(2, 3))
+  reports: list[planning.Status] = []
+  found = replanning.solve(solver, every=3, report=reports.append)
+  assert len(found.plan.modes) == 4
+  searches = [status.search for status in reports]
+  assert searches == ['2 trials from 0.00 s'] * 3 + ['2 trials from 0.90 s'] * 3
+
+
+def test_for_a_fallen_robot_nothing_is_planned(
+  policy: pretrained.Policy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  solver = _solver(policy, _CONFIG, search.BeamConfig(1, attempts=1))
+  found = solver.solve()._replace(success=False)
+  asked: list[int] = []
+
+  def solve(report: Any, robot: Any, guess: Any) -> planning.Found:
+    asked.append(robot.remaining)
+    rest = found.plan.modes[: robot.remaining]
+    plan = plan_lib.ModePlan(rest, found.plan.knot_duration)
+    return found._replace(plan=plan, control_steps=1)
+
+  monkeypatch.setattr(solver, 'solve', solve)
+  shove = pushes_lib.Push(0.6, (0.0, 6.0, 0.0))
+  fallen = replanning.solve(solver, [shove], 2)
+  assert not fallen.success
+  assert asked[:2] == [11, 9] and len(asked) < 5
+  assert fallen.control_steps == len(asked)
+  assert len(fallen.plan.modes) == 11
+  assert (fallen.path[-30:] == fallen.path[-1]).all()
+
+
+def test_rejects(policy: pretrained.Policy) -> None:
+  solver = _solver(policy, _SHORT, search.BeamConfig(1))
+  with pytest.raises(ValueError, match='replan_every must not be negative'):
+    replanning.solve(solver, every=-1)
+  with pytest.raises(ValueError, match='outside of the plan'):
+    replanning.solve(solver, [pushes_lib.Push(1.2, (1.0, 0.0, 0.0))])
