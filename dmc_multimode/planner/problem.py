@@ -167,6 +167,11 @@ class ReachingProblem:
     """Whether each robot has never fallen, [B]."""
     return self._alive.copy()
 
+  @property
+  def phase(self) -> np.ndarray:
+    """How far each running mode has come, in [0, 1], [B]."""
+    return self._worlds.core.tracker.state.phase.copy()
+
   def begin_at(self, other: 'ReachingProblem') -> None:
     """Begins, now and after each `reset`, where another problem is.
 

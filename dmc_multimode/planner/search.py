@@ -8,6 +8,7 @@ import numpy as np
 from dmc_multimode.planner import problem as problem_lib
 
 _CELL = 0.15  # Metres: robots closer than this are in the same place.
+_PHASES = 4  # Parts of a mode that are told apart.
 
 
 class Solution(NamedTuple):
@@ -94,11 +95,12 @@ def beam_search(
   config: BeamConfig,
   report: Callable[[int, float, float], None] = lambda *args: None,
 ) -> Solution:
-  """Follows the most promising plans, kept apart by place and mode.
+  """Follows the most promising plans, kept apart by place, mode and phase.
 
   At each knot every kept state is continued under every mode. What is kept then
-  is the best of each mode in each stretch of the track in turns, so that not
-  all of them stand at one edge and fall together.
+  is the best of each part of each mode in each stretch of the track in turns,
+  so that not all of them stand at one edge, or jump at one moment, and fall
+  together.
 
   Args:
     problem: of `config.beams` times the number of modes worlds.
@@ -126,8 +128,14 @@ def beam_search(
     best = float(front.returns[worth].max())
     report(knot + 1, best, _nearest(problem, progress))
     if knot < knots - 1:
-      x = progress.position[:, 0]
-      kept = _select(x, front.commands, front.returns, worth, beams)
+      cells = np.stack(
+        [
+          np.floor(progress.position[:, 0] / _CELL),
+          front.commands,
+          np.floor(problem.phase * _PHASES),
+        ]
+      )
+      kept = _select(cells, front.returns, worth, beams)
       problem.take(front.branch(kept))
   return front.solution(progress, knots)
 
@@ -141,22 +149,23 @@ def _nearest(
 
 
 def _select(
-  x: np.ndarray,
-  commands: np.ndarray,
-  returns: np.ndarray,
-  worth: np.ndarray,
-  count: int,
+  cells: np.ndarray, returns: np.ndarray, worth: np.ndarray, count: int
 ) -> np.ndarray:
   """Returns the worlds to go on from, at most `count`.
 
-  The best of every cell of place and mode come first, then the second best of
-  every cell, and so on.
+  The best of every cell come first, then the second best of every cell, and so
+  on.
+
+  Args:
+    cells: what tells the W worlds apart, [D, W].
+    returns: of their plans so far, [W].
+    worth: which may be gone on from, [W].
+    count: most that are kept.
   """
   candidates = np.flatnonzero(worth)
   candidates = candidates[np.argsort(-returns[candidates], kind='stable')]
-  cells = np.stack([np.floor(x[candidates] / _CELL), commands[candidates]])
   seen: dict[tuple[float, ...], int] = {}
   ranks = np.zeros(len(candidates), dtype=np.int64)
-  for i, cell in enumerate(map(tuple, cells.T)):
+  for i, cell in enumerate(map(tuple, cells.T[candidates])):
     ranks[i] = seen[cell] = seen.get(cell, -1) + 1
   return candidates[np.argsort(ranks, kind='stable')][:count]

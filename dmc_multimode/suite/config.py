@@ -165,7 +165,8 @@ def for_evaluation(config: ImitationConfig) -> ImitationConfig:
   """Returns the task without what only serves training.
 
   Episodes start from rest, edges are in place, no obstacle is met, nobody
-  helps or pushes, no bonus is paid, and the bound on the distance is the final one.
+  helps or pushes, no bonus is paid, and the bound on the distance is the final
+  one.
   """
   return dataclasses.replace(
     config,

@@ -95,7 +95,8 @@ class ObserveTest(parameterized.TestCase):
 
   def test_sight_ends_at_one_metre(self) -> None:
     parts = privileged.observe(
-      *np.zeros((2, 1, 3)),
+      position=np.zeros((1, 3)),
+      reference=np.zeros((1, 3)),
       heading=np.zeros(1),
       contact=np.zeros((1, 2)),
       countdown=np.zeros(1),
