@@ -74,7 +74,9 @@ class Worlds(batched.BatchedImitation):
       tuple(_with_edge(motion, case.edge) for motion in policy.motions),
       policy.codebook,
       episodes_lib.ScheduledEpisodes(schedule),
-      config=dataclasses.replace(config, obstacles=case.obstacles),
+      config=dataclasses.replace(
+        config, obstacles=case.obstacles, obstacles_start=0
+      ),
     )
     super().__init__(task, len(schedule), seed, auto_reset=False)
 

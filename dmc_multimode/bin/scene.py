@@ -119,7 +119,7 @@ class Camera:
     x = float(physics.data.qpos[0])
     boxes = list(_ground_marks(self._task.root_entity.terrain, x))
     if self._ghost:
-      position, rotation = _reference_pose(self._task)
+      position, rotation = _reference_pose(self._task, x)
       boxes.append(_Box(position, self._trunk_size, _GHOST, rotation))
     _add_boxes(scene, boxes)
 
@@ -144,12 +144,13 @@ def _find(physics: Any, name: str) -> int:
 
 
 def _reference_pose(
-  task: imitation.Imitation,
+  task: imitation.Imitation, x: float
 ) -> tuple[np.ndarray, np.ndarray]:
-  """Position and rotation matrix of the reference in the world."""
-  tracker = task.core.tracker
-  wanted = tracker.reference()
-  heading = transform.Rotation.from_euler('z', tracker.state.heading[0])
+  """Position and rotation matrix of the reference, the trunk being at x."""
+  wanted = task.core.reference(np.array([x]))
+  heading = transform.Rotation.from_euler(
+    'z', task.core.tracker.state.heading[0]
+  )
   local = transform.Rotation.from_quat(wanted.orientation[0], scalar_first=True)
   return wanted.position[0], (heading * local).as_matrix()
 

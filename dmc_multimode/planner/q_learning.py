@@ -23,16 +23,22 @@ class QLearningConfig:
     episodes: of each trial.
     learning_rate: alpha, in (0, 1].
     discount: gamma from knot to knot, in [0, 1].
-    initial_epsilon, final_epsilon: share of random modes in the first and in
-      the last episode; it falls linearly.
+    initial_epsilon, final_epsilon: how often a knot that would be greedy begins
+      a random mode instead, in the first and in the last episode; it falls
+      linearly.
+    exploration_time: mean time for which a random mode then lasts, seconds, in
+      whole knots (temporally extended epsilon-greedy, Dabney et al. 2021); 0
+      for one knot, which is plain epsilon-greedy. Jumps take longer than a
+      knot, and are hardly ever tried by chance where each knot draws anew.
   """
 
   trials: int = 5
   episodes: int = 100
   learning_rate: float = 0.5
   discount: float = 1.0
-  initial_epsilon: float = 1.0
+  initial_epsilon: float = 0.5
   final_epsilon: float = 0.05
+  exploration_time: float = 0.6
 
   def __post_init__(self) -> None:
     for name in ('trials', 'episodes'):
@@ -41,6 +47,11 @@ class QLearningConfig:
     if not 0 < self.learning_rate <= 1:
       raise ValueError(
         f'learning_rate must be in (0, 1], got {self.learning_rate}.'
+      )
+    if not 0 <= self.exploration_time < np.inf:
+      raise ValueError(
+        'exploration_time must be a number of seconds, not negative, got '
+        f'{self.exploration_time}.'
       )
     for name in ('discount', 'initial_epsilon', 'final_epsilon'):
       if not 0 <= getattr(self, name) <= 1:
@@ -60,11 +71,27 @@ class QTables:
   """One table for each of T independent trials."""
 
   def __init__(
-    self, trials: int, knots: int, modes: int, config: QLearningConfig
+    self,
+    trials: int,
+    knots: int,
+    modes: int,
+    config: QLearningConfig,
+    knot_duration: float = 1.0,
   ):
-    """Starts with zeros, [T, K, M]."""
+    """Starts with zeros, [T, K, M].
+
+    Args:
+      trials, knots, modes: T, K and M.
+      config: of the planner.
+      knot_duration: seconds from knot to knot.
+    """
     self._config = config
+    self._persistence = 1 - min(
+      knot_duration / max(config.exploration_time, knot_duration), 1.0
+    )
     self.values = np.zeros((trials, knots, modes))
+    self._exploring = np.zeros(trials, dtype=bool)
+    self._explored = np.zeros(trials, dtype=np.int64)
 
   def act(
     self, knot: int, epsilon: float, random_state: np.random.RandomState
@@ -74,9 +101,13 @@ class QTables:
     trials, modes = values.shape
     best = values == values.max(axis=1, keepdims=True)
     greedy = np.argmax(best * random_state.uniform(0.5, 1, best.shape), axis=1)
-    explored = random_state.randint(modes, size=trials)
-    explore = random_state.uniform(size=trials) < epsilon
-    return np.where(explore, explored, greedy)
+    drawn = random_state.randint(modes, size=trials)
+    go_on = random_state.uniform(size=trials) < self._persistence
+    go_on &= self._exploring & (knot > 0)
+    begin = ~go_on & (random_state.uniform(size=trials) < epsilon)
+    self._explored = np.where(begin, drawn, self._explored)
+    self._exploring = go_on | begin
+    return np.where(self._exploring, self._explored, greedy)
 
   def update(self, plans: np.ndarray, rewards: np.ndarray) -> None:
     """Learns from one episode of each trial, the last knot first.
@@ -115,7 +146,9 @@ def q_learning(
     raise ValueError(
       f'{trials} trials need as many worlds, not {problem.num_worlds}.'
     )
-  tables = QTables(trials, knots, problem.num_modes, config)
+  tables = QTables(
+    trials, knots, problem.num_modes, config, problem.config.knot_duration
+  )
   random_state = np.random.RandomState(problem.config.seed)
   plans = np.zeros((config.episodes, trials, knots), dtype=np.int64)
   returns = np.zeros((config.episodes, trials))

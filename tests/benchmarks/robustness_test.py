@@ -1,5 +1,6 @@
 """Tests of benchmarks.robustness and of its cases."""
 
+import dataclasses
 import json
 import pathlib
 from typing import Iterator
@@ -94,7 +95,9 @@ def test_pushes_come_once_a_second(folder: pathlib.Path) -> None:
 
 
 def test_obstacles(folder: pathlib.Path) -> None:
-  worlds = _worlds(folder, cases_lib.Case(obstacles=1.0), mode=1)
+  plan, case = schedule.single(np.full(3, 1)), cases_lib.Case(obstacles=1.0)
+  trained = dataclasses.replace(_CONFIG, obstacles=0.4, obstacles_start=10**6)
+  worlds = cases_lib.Worlds(case, pretrained.load(folder), plan, trained, 0)
   worlds.reset()
   # A block of another height, or there would be nothing to withstand.
   tops = worlds.core.terrain.tops[:, 1]

@@ -93,6 +93,21 @@ def _in_composer(
   return np.array(path)
 
 
+@pytest.mark.parametrize('name', reaching.PROBLEMS)
+def test_pi2_crosses_the_papers_tracks(name: str) -> None:
+  """Table III, with the first and smallest of the beam's attempts."""
+  solver = planning.Solver(
+    pretrained.load('pi2'),
+    lambda: track.make(name),
+    reaching.PROBLEMS[name].config(0),
+    search.BeamConfig(attempts=1),
+  )
+  found = solver.solve()
+  assert found.success
+  assert found.final_position[0] > 1.7
+  assert found.solve_seconds < reaching.PROBLEMS[name].paper_seconds / 5
+
+
 def test_replay_rejects_another_plan(policy: pretrained.Policy) -> None:
   plan = plan_lib.ModePlan(('idle',) * 4, 0.3)
   with pytest.raises(ValueError, match='other knots'):

@@ -159,7 +159,7 @@ def test_q_tables_by_hand() -> None:
 
 
 def test_epsilon_greedy() -> None:
-  config = q_learning.QLearningConfig(trials=4000, episodes=11)
+  config = q_learning.QLearningConfig(4000, 11, initial_epsilon=1.0)
   tables = q_learning.QTables(4000, 1, 4, config)
   tables.values[:, 0, 2] = 1.0
   assert [config.epsilon(i) for i in (0, 5, 10)] == pytest.approx(
@@ -175,6 +175,25 @@ def test_epsilon_greedy() -> None:
 
 
 @pytest.mark.parametrize(
+  ('time', 'stays'),
+  # What is drawn anew is the same mode in one of four cases.
+  [(0.0, 0.25), (0.3, 0.25), (0.6, 0.5 + 0.5 / 4), (1.2, 0.75 + 0.25 / 4)],
+)
+def test_exploration_lasts(time: float, stays: float) -> None:
+  config = q_learning.QLearningConfig(exploration_time=time)
+  tables = q_learning.QTables(4000, 3, 4, config, knot_duration=0.3)
+  state = np.random.RandomState(0)
+  plan = [tables.act(knot, 1.0, state) for knot in range(3)]
+  for before, after in zip(plan[:-1], plan[1:], strict=True):
+    assert np.mean(before == after) == pytest.approx(stays, abs=0.03)
+  # A new episode begins anew, and greedy knots are greedy.
+  again = tables.act(0, 1.0, state)
+  assert np.mean(plan[-1] == again) == pytest.approx(0.25, abs=0.03)
+  tables.values[:, :, 1] = 1.0
+  assert (tables.act(0, 0.0, state) == 1).all()
+
+
+@pytest.mark.parametrize(
   ('config', 'changes', 'message'),
   [
     (search.BeamConfig, {'beams': 0}, 'beams'),
@@ -184,6 +203,11 @@ def test_epsilon_greedy() -> None:
     (q_learning.QLearningConfig, {'learning_rate': 0.0}, 'learning_rate'),
     (q_learning.QLearningConfig, {'discount': 1.1}, 'discount'),
     (q_learning.QLearningConfig, {'final_epsilon': -0.1}, 'final_epsilon'),
+    (
+      q_learning.QLearningConfig,
+      {'exploration_time': -1.0},
+      'exploration_time',
+    ),
   ],
 )
 def test_configs_reject(

@@ -575,6 +575,36 @@ class SchedulesTest(parameterized.TestCase):
     moved = [np.any(a != b) for a, b in zip(seen[:-1], seen[1:], strict=True)]
     self.assertGreater(sum(moved), 3)
 
+  def test_pushes_begin(self) -> None:
+    """Of all robots in each step here: the interval is a control step."""
+    pushed = self._worlds(push_speed=0.5, push_interval=0.03, push_start=24)
+    plain = self._worlds()
+    for _ in range(2):  # After 8 and 16 control steps of all worlds.
+      self._step(pushed)
+      self._step(plain)
+      np.testing.assert_array_equal(pushed.qvel, plain.qvel)
+    self._step(pushed)
+    self._step(plain)
+    gain = pushed.qvel - plain.qvel
+    np.testing.assert_array_equal(gain[:, 2:], 0.0)
+    speeds = np.linalg.norm(gain[:, :2], axis=1)
+    self.assertBetween(speeds.min(), 1e-3, 0.3)
+    self.assertBetween(speeds.max(), 0.2, 0.5)
+    ways = np.arctan2(gain[:, 1], gain[:, 0])
+    self.assertGreater(np.ptp(ways), np.pi / 2)
+
+  def test_pushes_come_once_in_an_interval(self) -> None:
+    worlds = self._worlds(push_speed=1e-6, push_interval=0.3)
+    counts, state = np.zeros(8), worlds.batch.state
+    plain = self._worlds()
+    for _ in range(200):
+      plain.batch.state[:] = state
+      self._step(worlds)
+      self._step(plain)
+      counts += (worlds.qvel[:, :2] != plain.qvel[:, :2]).any(axis=1)
+    # 200 steps of 0.03 s are 20 intervals.
+    self.assertBetween(counts.mean(), 14, 26)
+
   @parameterized.parameters(1.0, 0.25, 0.0)
   def test_help_at_take_off(self, share: float) -> None:
     """Phases are 0.03 / 1.1 apart: the take-off at 0.42 is in step 16."""

@@ -33,6 +33,9 @@ class ImitationConfigTest(parameterized.TestCase):
     ({'obstacles': 1.1}, 'obstacles is a share'),
     ({'obstacles': float('nan')}, 'obstacles is a share'),
     ({'obstacles_start': -1}, 'obstacles_start must not be negative'),
+    ({'push_speed': -0.1}, 'push_speed must not be negative'),
+    ({'push_interval': 0.0}, 'push_interval must be positive'),
+    ({'push_start': -1}, 'push_start must not be negative'),
     ({'contact_bonus': -0.1}, 'contact_bonus'),
     ({'late_contact_bonus': float('nan')}, 'late_contact_bonus'),
     ({'contact_bonus_start': -1}, 'contact_bonus_start'),
@@ -53,8 +56,11 @@ class ImitationConfigTest(parameterized.TestCase):
         contact_bonus_end=10,
         obstacles=0.4,
         obstacles_start=5,
+        push_speed=0.5,
+        push_start=5,
       )
     )
+    self.assertEqual(values.push_speed_after(10**9), 0.0)
     self.assertEqual(values.obstacle_share_after(10**9), 0.0)
     self.assertEqual(values.contact_bonus_after(20), 0.0)
     self.assertEqual((values.assist_steps, values.contact_bonus), (0, 0.0))
