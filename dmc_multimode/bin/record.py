@@ -110,6 +110,7 @@ def _planned(plan: str) -> dict[str, Any]:
     'modes': tuple(names),
     'durations': tuple(durations),
     **plan_lib.course(values)._asdict(),
+    'imitation': False,
   }
 
 

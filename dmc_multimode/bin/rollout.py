@@ -35,6 +35,8 @@ class RolloutConfig:
     clock_rate: rate of the phase clock, 1 being the references' own.
     seed: of the terrain and of the initial state's noise.
     pushes: that the robot meets.
+    imitation: whether a robot that loses its reference has failed; in a plan,
+      only one that falls has.
     physics_timestep: seconds; the policy's own if None.
     terminate: whether the roll-out ends where an episode would.
   """
@@ -46,6 +48,7 @@ class RolloutConfig:
   clock_rate: float = 1.0
   seed: int = 0
   pushes: tuple[pushes_lib.Push, ...] = ()
+  imitation: bool = True
   physics_timestep: float | None = None
   terminate: bool = False
 
@@ -125,6 +128,8 @@ class Rollout:
       raise ValueError('The schedule is shorter than one control step.')
     self._policy, self._config = policy, config
     self._limits = policy.config.limits
+    if not config.imitation:
+      self._limits = self._limits._replace(distance=np.inf, reward=-np.inf)
     self.task = multimode_biped.make_task(
       policy.motions,
       codebook=policy.codebook,
