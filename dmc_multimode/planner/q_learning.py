@@ -102,11 +102,11 @@ class QTables:
     best = values == values.max(axis=1, keepdims=True)
     greedy = np.argmax(best * random_state.uniform(0.5, 1, best.shape), axis=1)
     drawn = random_state.randint(modes, size=trials)
-    go_on = random_state.uniform(size=trials) < self._persistence
-    go_on &= self._exploring & (knot > 0)
-    begin = ~go_on & (random_state.uniform(size=trials) < epsilon)
-    self._explored = np.where(begin, drawn, self._explored)
-    self._exploring = go_on | begin
+    lasts = random_state.uniform(size=trials) < self._persistence
+    going_on = lasts & self._exploring & (knot > 0)
+    begin = ~going_on & (random_state.uniform(size=trials) < epsilon)
+    self._explored[begin] = drawn[begin]
+    self._exploring = going_on | begin
     return np.where(self._exploring, self._explored, greedy)
 
   def update(self, plans: np.ndarray, rewards: np.ndarray) -> None:
