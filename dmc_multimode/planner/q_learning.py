@@ -101,7 +101,7 @@ class QTables:
     trials, modes = values.shape
     best = values == values.max(axis=1, keepdims=True)
     greedy = np.argmax(best * random_state.uniform(0.5, 1, best.shape), axis=1)
-    drawn = random_state.randint(modes, size=trials)
+    drawn = random_state.randint(modes, size=(trials,))
     lasts = random_state.uniform(size=trials) < self._persistence
     going_on = lasts & self._exploring & (knot > 0)
     begin = ~going_on & (random_state.uniform(size=trials) < epsilon)
