@@ -17,7 +17,7 @@ from dmc_multimode.modes import library
 
 _MODES = 'idle,walk_forward'
 _POLICY_SEES = 2 + 2 + 31  # With one-hot commands.
-_VALUE_SEES = _POLICY_SEES + 6 + 2
+_VALUE_SEES = _POLICY_SEES + 6 + 2 + 3
 _TINY = ppo_config.PPOConfig(
   hidden_sizes=(8,), rollout_length=4, epochs=2, minibatches=2
 )

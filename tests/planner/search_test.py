@@ -30,6 +30,10 @@ class _Toy:
     self.x = np.zeros(self.num_worlds)
     self.alive = np.ones(self.num_worlds, dtype=bool)
 
+  @property
+  def phase(self) -> np.ndarray:
+    return np.zeros(self.num_worlds)
+
   def take(self, sources: np.ndarray) -> None:
     self.x, self.alive = self.x[sources], self.alive[sources]
 
@@ -103,6 +107,22 @@ def test_beam_search_where_all_fall() -> None:
   found = search.beam_search(toy, search.BeamConfig(3))
   assert not found.success.any()
   assert found.plans.shape[1] == 6
+
+
+def test_the_best_of_each_cell_are_kept_first() -> None:
+  """Who differs in the phase alone is not crowded out by better ones."""
+  place = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+  mode = np.zeros(6)
+  phase = np.array([0.0, 0.0, 0.0, 3.0, 3.0, 0.0])
+  returns = np.array([9.0, 8.0, 7.0, 2.0, 1.0, 0.0])
+  worth = np.array([True, True, True, True, True, True])
+  cells = np.stack([place, mode, phase])
+  select = lambda count: search._select(cells, returns, worth, count).tolist()
+  assert select(1) == [0]
+  assert select(3) == [0, 3, 5]
+  assert select(9) == [0, 3, 5, 1, 4, 2]
+  worth[3] = False
+  assert select(3) == [0, 4, 5]
 
 
 def test_plans_are_as_long_as_the_problem() -> None:
