@@ -220,7 +220,7 @@ class ImitationCore:
     self, x: np.ndarray, ids: np.ndarray | slice = slice(None)
   ) -> np.ndarray:
     """How much higher the ground at `x` is than motions expect it, [N]."""
-    terrain = terrain_lib.Terrain(*(field[ids] for field in self.terrain))
+    terrain = self._ground(ids)
     support = terrain_lib.support_height(terrain, x)
     return support - self.tracker.expected_support(x, ids)
 
@@ -380,6 +380,10 @@ class ImitationCore:
       reference.has_contact,
     )
 
+  def _ground(self, ids: np.ndarray | slice) -> terrain_lib.Terrain:
+    """Returns the terrains of the worlds `ids`, not copied for a slice."""
+    return terrain_lib.Terrain(*(field[ids] for field in self.terrain))
+
   def support(self, x: np.ndarray) -> np.ndarray:
     """Returns the height of the support plane under every world's x, [B]."""
     return terrain_lib.support_height(self.terrain, x)
@@ -397,7 +401,7 @@ class ImitationCore:
       ids: worlds, [N]; all by default.
     """
     state = self.tracker.state
-    terrain = terrain_lib.Terrain(*(field[ids] for field in self.terrain))
+    terrain = self._ground(ids)
     return observations.observe(
       qpos,
       qvel,
@@ -418,7 +422,7 @@ class ImitationCore:
     """
     countdown, following = self.tracker.upcoming(ids)
     x = qpos[:, 0]
-    terrain = terrain_lib.Terrain(*(field[ids] for field in self.terrain))
+    terrain = self._ground(ids)
     return privileged.observe(
       qpos[:, :3],
       self.reference(x, ids).position,

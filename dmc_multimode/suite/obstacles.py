@@ -51,7 +51,9 @@ class ObstacleSource:
   def __init__(self, motions: Sequence[reference.ReferenceMotion]):
     """Looks up what the motions can master."""
     bank = reference.ReferenceBank(motions)
-    self._steps = [motion.step for motion in motions]
+    steps = [motion.step for motion in motions]
+    self._stepping = np.array([step is not None for step in steps])
+    self._rises = np.array([step.height if step else 0.0 for step in steps])
     self._lengths = bank.displacements[:, 0]
     self._forward = self._lengths > _FORWARD
     self._flights = np.array([_flight_middle(motion) for motion in motions])
@@ -84,17 +86,17 @@ class ObstacleSource:
       width,
     )
     edge, share = uniform(_BLOCK_EDGE), uniform(_BLOCK_SHARE)
-    rises = np.array([s.height if s else 0.0 for s in self._steps])[modes]
     block = Obstacles(
-      edge, share * rises, np.clip(uniform(_BLOCK_GAP), 0.0, edge - _FOOTHOLD)
+      edge,
+      share * self._rises[modes],
+      np.clip(uniform(_BLOCK_GAP), 0.0, edge - _FOOTHOLD),
     )
-    stepping = np.array([step is not None for step in self._steps])[modes]
     flying = self._forward[modes] & np.isfinite(self._flights[modes])
     walking = self._forward[modes] & ~flying
     nothing = Obstacles(
       np.full(count, np.inf), np.zeros(count), np.zeros(count)
     )
-    kinds = [stepping, flying, walking]
+    kinds = [self._stepping[modes], flying, walking]
     return Obstacles(
       *(
         np.select(kinds, [a, b, c], d)
