@@ -4,6 +4,7 @@ python -m dmc_multimode.bin.evaluate --policy=quickstart --out=report.json
 """
 
 import json
+import math
 import pathlib
 from typing import Any, Sequence
 
@@ -25,7 +26,9 @@ _POLICY = flags.DEFINE_string(
 )
 _OUT = flags.DEFINE_string('out', None, 'JSON file to write the report to.')
 _FIGURES = flags.DEFINE_string(
-  'figures', None, 'Folder to draw into: heights over time, and through a plan.'
+  'figures',
+  None,
+  'Folder to draw into: heights, contacts, a sequence of modes.',
 )
 _SEED = flags.DEFINE_integer('seed', 0, 'Of the initial states.')
 _EPISODES = flags.DEFINE_integer(
@@ -34,17 +37,31 @@ _EPISODES = flags.DEFINE_integer(
 _TIMESTEP = flags.DEFINE_float(
   'physics_timestep', None, 'Seconds; that of the training by default.'
 )
+_CLOCK_RATES = flags.DEFINE_list(
+  'clock_rates', None, 'Also measure how fast the modes go at these.'
+)
 _CLOCK_RATE = flags.DEFINE_float('clock_rate', 1.0, 'Of the modes.')
 
 
-def draw(evaluator: scoring.Evaluator, directory: pathlib.Path) -> None:
-  """Draws the trunk's height in every mode, and through transitions."""
+def draw(
+  evaluator: scoring.Evaluator,
+  values: dict[str, Any],
+  directory: pathlib.Path,
+) -> None:
+  """Draws every mode, a sequence of them, and what `values` has of speeds."""
   bank, timestep = evaluator.bank, evaluator.config.control_timestep
   alone = evaluator.run(schedule_lib.single(np.arange(len(bank))), 'heights')
-  drawn = figures.heights(bank.names, alone.traces, alone.lengths, timestep)
-  figures.save(directory / figures.HEIGHTS_FILE, drawn)
+  for name, function in (
+    (figures.HEIGHTS_FILE, figures.heights),
+    (figures.CONTACTS_FILE, figures.contacts),
+  ):
+    drawn = function(bank.names, alone.traces, alone.lengths, timestep)
+    figures.save(directory / name, drawn)
+  if 'clock_rates' in values:
+    drawn = figures.clock_rates(values['clock_rates'])
+    figures.save(directory / figures.CLOCK_RATES_FILE, drawn)
   schedule, seconds = figures.sequence(bank)
-  found = evaluator.lasting(seconds).run(schedule, 'sequence')
+  found = evaluator.changed(time_limit=seconds).run(schedule, 'sequence')
   drawn = figures.transitions(
     bank, schedule, found.traces, found.lengths[0], timestep
   )
@@ -61,6 +78,8 @@ _COLUMNS = (
   'rise',
   'flight',
   'alternation',
+  'single_support',
+  'agreement',
   'drift',
   'position_error',
 )
@@ -88,6 +107,12 @@ def print_report(values: dict[str, Any]) -> None:
   print(f'\n{"transition":36}{"mra":>10}{"survival":>10}')
   for name, row in values['transitions'].items():
     print(f'{name:36}{row["mra"]:10.3f}{row["survival"]:10.3f}')
+  for rate, row in values.get('clock_rates', {}).items():
+    speeds = ', '.join(
+      f'{name} {found["velocity"]:.2f} m/s ({found["survival"]:.2f})'
+      for name, found in row.items()
+    )
+    print(f'clock rate {rate}: {speeds}')
   for kind in ('modes', 'transitions'):
     mra = values[f'mra_{kind}']
     print(
@@ -96,11 +121,23 @@ def print_report(values: dict[str, Any]) -> None:
     )
 
 
+def _rates() -> list[float]:
+  """Returns --clock_rates; raises ValueError if they are none."""
+  try:
+    rates = [float(rate) for rate in _CLOCK_RATES.value or ()]
+  except ValueError as error:
+    raise ValueError(f'--clock_rates: {error}.') from error
+  if not all(0 < rate < math.inf for rate in rates):
+    raise ValueError('--clock_rates must be positive and finite.')
+  return rates
+
+
 def main(argv: Sequence[str]) -> None:
   """Evaluates and reports."""
   del argv
   if _EPISODES.value < 1:
     raise ValueError(f'--episodes must be positive, got {_EPISODES.value}.')
+  rates = _rates()
   out = outputs.file('out', _OUT.value)
   folder = outputs.folder('figures', _FIGURES.value)
   policy = pretrained.load(_POLICY.value)
@@ -109,6 +146,10 @@ def main(argv: Sequence[str]) -> None:
     config = config_flags.replace(config, physics_timestep=_TIMESTEP.value)
   evaluator = scoring.Evaluator(policy, config, _SEED.value)
   values = scoring.report(evaluator, _EPISODES.value, _CLOCK_RATE.value)
+  if rates:
+    values['clock_rates'] = scoring.evaluate_clock_rates(
+      evaluator, scoring.MODE_FACTOR * _EPISODES.value, rates
+    )
   values['provenance'] = dict(policy.provenance)
   print_report(values)
   if out:
@@ -116,7 +157,7 @@ def main(argv: Sequence[str]) -> None:
     atomic.write(out, json.dumps(values, indent=1).encode())
     print(f'The report is in {out}')
   if folder:
-    draw(evaluator, folder)
+    draw(evaluator, values, folder)
     print(f'The figures are in {folder}')
 
 

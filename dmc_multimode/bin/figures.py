@@ -1,4 +1,4 @@
-"""The paper's figures of a policy: heights of the trunk over time."""
+"""The paper's figures of a policy: heights, contacts, speeds."""
 
 import io
 import pathlib
@@ -13,10 +13,13 @@ from dmc_multimode.modes import reference
 from dmc_multimode.modes import schedule as schedule_lib
 
 HEIGHTS_FILE, SEQUENCE_FILE = 'heights.png', 'sequence.png'
+CONTACTS_FILE, CLOCK_RATES_FILE = 'contacts.png', 'clock_rates.png'
 
 # The paper's sequence of transitions, of what modes there are.
 _ORDER = ('walk_forward', 'launch', 'leap_forward', 'idle')
 _SECONDS = 2.4  # Of each mode in it; two cycles of a leap.
+_FEET = ('left', 'right')
+_COLUMNS = 4  # Of panels in a row.
 _LABELS = {'reference': 'reference', 'position': 'robot'}
 
 
@@ -58,17 +61,88 @@ def heights(
     lengths: control steps of the episodes, [B].
     timestep: seconds of a control step.
   """
-  drawn, axes = empty(1, len(names), 2.6, 2.6)
-  for i, (name, length) in enumerate(zip(names, lengths, strict=True)):
+  drawn, panels = _panels(names, 2.6)
+  for i, (axis, length) in enumerate(zip(panels, lengths, strict=True)):
     times = timestep * np.arange(1, length + 1)
     for key, style in (('reference', 'C3--'), ('position', 'C0')):
       height = measured[key][:length, i, 2]
-      axes[0, i].plot(times, height, style, label=_LABELS[key])
-    axes[0, i].set(title=name, xlabel='time (s)')
-    axes[0, i].sharey(axes[0, 0])
-  axes[0, 0].set_ylabel('height of the trunk (m)')
-  axes[0, 0].legend(fontsize='small')
+      axis.plot(times, height, style, label=_LABELS[key])
+    axis.sharey(panels[0])
+  panels[0].set_ylabel('height of the trunk (m)')
+  panels[0].legend(fontsize='small')
   return drawn
+
+
+def contacts(
+  names: Sequence[str],
+  measured: Mapping[str, np.ndarray],
+  lengths: np.ndarray,
+  timestep: float,
+) -> matplotlib.figure.Figure:
+  """Draws when each foot is on the ground, and when it should be.
+
+  Args:
+    names: of the modes, one an episode, B.
+    measured: what `BatchedImitation.measure` returned, [T, B, ...].
+    lengths: control steps of the episodes, [B].
+    timestep: seconds of a control step.
+  """
+  drawn, panels = _panels(names, 1.8)
+  rows = [(foot, key) for foot in range(2) for key in ('position', 'reference')]
+  keys = {'position': 'contact', 'reference': 'reference_contact'}
+  for i, (axis, length) in enumerate(zip(panels, lengths, strict=True)):
+    for y, (foot, key) in enumerate(rows):
+      on = measured[keys[key]][:length, i, foot].astype(int)
+      edges = np.flatnonzero(np.diff(on, prepend=0, append=0)) * timestep
+      spans = np.stack([edges[::2], edges[1::2] - edges[::2]], axis=1)
+      colour = 'C0' if key == 'position' else 'C3'
+      axis.broken_barh(spans.tolist(), (-y - 0.4, 0.8), color=colour)
+    labels = [f'{_FEET[foot]}, {_LABELS[key]}' for foot, key in rows]
+    axis.set_yticks(-np.arange(len(rows)), labels, fontsize='small')
+  return drawn
+
+
+def clock_rates(
+  values: Mapping[str, Mapping[str, Mapping[str, float]]],
+) -> matplotlib.figure.Figure:
+  """Draws the speed of every mode over the rate of its clock.
+
+  Args:
+    values: what `scoring.evaluate_clock_rates` returned.
+  """
+  rates = [float(rate) for rate in values]
+  names = list(next(iter(values.values())))
+  drawn, panels = _panels(names, 2.6)
+  for axis, name in zip(panels, names, strict=True):
+    for key, style, label in (
+      ('reference', 'C3--', 'reference'),
+      ('velocity', 'C0o-', 'robot'),
+    ):
+      speeds = [row[name][key] for row in values.values()]
+      axis.plot(rates, speeds, style, label=label)
+    axis.set_xlabel('clock rate')
+    axis.sharey(panels[0])
+  panels[0].set_ylabel('speed (m/s)')
+  panels[0].legend(fontsize='small')
+  return drawn
+
+
+def _panels(
+  names: Sequence[str], height: float
+) -> tuple[matplotlib.figure.Figure, list[Any]]:
+  """Returns a figure and its axes over time, one a mode, in rows.
+
+  Args:
+    names: of the modes.
+    height: of each, inches.
+  """
+  columns = min(len(names), _COLUMNS)
+  drawn, axes = empty(-(-len(names) // columns), columns, 2.6, height)
+  for axis in axes.flat[len(names) :]:
+    axis.remove()
+  for axis, name in zip(axes.flat, names, strict=False):
+    axis.set(title=name, xlabel='time (s)')
+  return drawn, list(axes.flat[: len(names)])
 
 
 def sequence(

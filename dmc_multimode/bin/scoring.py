@@ -3,7 +3,7 @@
 import copy
 import dataclasses
 import itertools
-from typing import Any, Protocol
+from typing import Any, Protocol, Sequence
 
 import numpy as np
 import tqdm
@@ -19,6 +19,7 @@ from dmc_multimode.suite import body
 from dmc_multimode.suite import config as config_lib
 from dmc_multimode.suite import episodes as episodes_lib
 from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite import terminations
 
 MODE_FACTOR = 4  # Episodes of a mode for one of each transition.
 
@@ -53,10 +54,10 @@ class Evaluator:
     self._quiet = quiet
     self.bank = reference.ReferenceBank(policy.motions)
 
-  def lasting(self, seconds: float) -> 'Evaluator':
-    """Returns one whose episodes are that long."""
+  def changed(self, **fields: Any) -> 'Evaluator':
+    """Returns one whose task has other values in these fields."""
     other = copy.copy(self)
-    other.config = dataclasses.replace(self.config, time_limit=seconds)
+    other.config = dataclasses.replace(self.config, **fields)
     return other
 
   def traces(
@@ -114,12 +115,47 @@ def evaluate_modes(
   return result
 
 
+def evaluate_clock_rates(
+  evaluator: Evaluator, episodes: int, rates: Sequence[float]
+) -> dict[str, dict[str, dict[str, float]]]:
+  """How fast every mode that travels goes at other rates of its clock.
+
+  A robot that cannot keep up with its reference goes on: only a fall ends an
+  episode.
+
+  Returns:
+    By rate and mode: velocity along the mode's way and that of its reference,
+    m/s, and survival.
+  """
+  bank = evaluator.bank
+  limits = terminations.falls_alone(evaluator.config.limits)
+  free = evaluator.changed(limits=limits)
+  lengths = np.linalg.norm(bank.displacements[:, :2], axis=1)
+  travelling = np.flatnonzero(lengths)
+  modes = np.repeat(travelling, episodes)
+  result: dict[str, dict[str, dict[str, float]]] = {}
+  for rate in rates:
+    found = free.run(schedule_lib.single(modes, rate), f'clock rate {rate:g}')
+    row = result[f'{rate:g}'] = {}
+    for i in travelling:
+      mine = found.rows(np.flatnonzero(modes == i))
+      way = bank.displacements[i, :2] / lengths[i]
+      traces = free.traces(mine, bank.durations[i] / rate)
+      speeds = [t.velocity(t.position)[:2] @ way for t in traces]
+      row[bank.names[i]] = {
+        'reference': float(rate * lengths[i] / bank.durations[i]),
+        'velocity': float(np.mean(speeds)),
+        'survival': float(mine.survived.mean()),
+      }
+  return result
+
+
 def evaluate_behaviour(
   evaluator: Evaluator, episodes: int
 ) -> dict[str, dict[str, dict[str, Any]]]:
   """What every mode promises, and how it is kept: see `suite.behaviour`."""
   bank = evaluator.bank
-  longer = evaluator.lasting(behaviour.DURATION)
+  longer = evaluator.changed(time_limit=behaviour.DURATION)
   modes = np.repeat(np.arange(len(bank)), episodes)
   found = longer.run(schedule_lib.single(modes), 'behaviour')
   result = {}

@@ -29,6 +29,7 @@ _DIRECTIONS = {
   'left': (0.0, 1.0),
   'right': (0.0, -1.0),
 }
+_TURN = 0.35  # Radians a stride: 33 degrees a second.
 _MIRRORED = {'left': 'right', 'right': 'left'}
 
 # Rough, yet near what gravity allows: 0.34 s of flight between take-off and
@@ -42,7 +43,15 @@ _LAUNCH_DURATION = 1.1  # Seconds.
 _LAUNCH_PHASES = (0.0, 0.25, 0.42, 0.55, 0.67, 0.82, 1.0)
 _LAUNCH_X = (0.0, 0.02, 0.11, 0.26, 0.43, 0.56, 0.60)
 _LAUNCH_Z = (0.50, 0.40, 0.62, 0.90, 1.02, 0.88, 0.90)
-_LAUNCH_TAKEOFF = 0.42
+_LAUNCH_TAKEOFF, _LAUNCH_TOUCHDOWN = 0.42, 0.82
+
+# The way back: from the crouch over the edge, a fall of 0.33 s, a deep landing.
+_DESCENT_STEP = reference.TerrainStep(edge=0.2, height=-0.4)
+_DESCENT_DURATION = 1.0  # Seconds.
+_DESCENT_PHASES = (0.0, 0.20, 0.38, 0.55, 0.71, 0.84, 1.0)
+_DESCENT_X = (0.0, 0.02, 0.12, 0.29, 0.45, 0.53, 0.55)
+_DESCENT_Z = (0.50, 0.45, 0.53, 0.47, 0.16, 0.02, 0.10)
+_DESCENT_TAKEOFF, _DESCENT_TOUCHDOWN = 0.38, 0.71
 
 
 def _upright(count: int) -> np.ndarray:
@@ -109,21 +118,70 @@ def _leap(direction: str) -> reference.ReferenceMotion:
   )
 
 
-def _launch() -> reference.ReferenceMotion:
-  zeros = np.zeros(len(_LAUNCH_PHASES))
-  flight = (np.array(_LAUNCH_PHASES) >= _LAUNCH_TAKEOFF) & (
-    np.array(_LAUNCH_PHASES) < 0.82
-  )
+def _turn(side: str) -> reference.ReferenceMotion:
+  """Steps on the spot, the inner foot first."""
+  sign = {'left': 1.0, 'right': -1.0}[side]
+  halves = sign * _TURN * np.array([0.0, 0.5, 1.0]) / 2
+  zeros = np.zeros(3)
+  contacts = np.array([[0, 1], [1, 0], [1, 0]])
   return reference.ReferenceMotion(
-    name='launch',
+    name=f'turn_{side}',
+    kind=reference.PERIODIC,
+    duration=_WALK_DURATION,
+    phases=np.array([0.0, 0.5, 1.0]),
+    positions=np.tile([0.0, 0.0, STAND_HEIGHT], (3, 1)),
+    orientations=np.stack([np.cos(halves), zeros, zeros, np.sin(halves)], 1),
+    contacts=contacts if side == 'left' else contacts[:, ::-1],
+    mirror=f'turn_{_MIRRORED[side]}',
+  )
+
+
+def _jump(
+  name: str,
+  duration: float,
+  phases: Sequence[float],
+  x: Sequence[float],
+  z: Sequence[float],
+  step: reference.TerrainStep,
+  flight: tuple[float, float],
+) -> reference.ReferenceMotion:
+  """From one height to another; `flight` is from take-off to touch-down."""
+  moments = np.array(phases)
+  flying = (moments >= flight[0]) & (moments < flight[1])
+  return reference.ReferenceMotion(
+    name=name,
     kind=reference.TRANSIENT,
-    duration=_LAUNCH_DURATION,
-    phases=np.array(_LAUNCH_PHASES),
-    positions=np.column_stack([_LAUNCH_X, zeros, _LAUNCH_Z]),
-    orientations=_upright(len(_LAUNCH_PHASES)),
-    contacts=np.repeat(~flight[:, None], 2, axis=1),
-    step=_LAUNCH_STEP,
-    takeoff=_LAUNCH_TAKEOFF,
+    duration=duration,
+    phases=moments,
+    positions=np.column_stack([x, np.zeros(len(moments)), z]),
+    orientations=_upright(len(moments)),
+    contacts=np.repeat(~flying[:, None], 2, axis=1),
+    step=step,
+    takeoff=flight[0],
+  )
+
+
+def _launch() -> reference.ReferenceMotion:
+  return _jump(
+    'launch',
+    _LAUNCH_DURATION,
+    _LAUNCH_PHASES,
+    _LAUNCH_X,
+    _LAUNCH_Z,
+    _LAUNCH_STEP,
+    (_LAUNCH_TAKEOFF, _LAUNCH_TOUCHDOWN),
+  )
+
+
+def _descent() -> reference.ReferenceMotion:
+  return _jump(
+    'step_down',
+    _DESCENT_DURATION,
+    _DESCENT_PHASES,
+    _DESCENT_X,
+    _DESCENT_Z,
+    _DESCENT_STEP,
+    (_DESCENT_TAKEOFF, _DESCENT_TOUCHDOWN),
   )
 
 
@@ -133,17 +191,23 @@ def modes() -> Mapping[str, reference.ReferenceMotion]:
   motions = [_idle()]
   motions += [_walk(direction) for direction in _DIRECTIONS]
   motions += [_leap(direction) for direction in _DIRECTIONS]
-  motions += [_hop('forward'), _launch()]
+  motions += [_hop('forward'), _launch(), _descent()]
+  motions += [_turn(side) for side in ('left', 'right')]
   return {motion.name: motion for motion in motions}
 
 
-# Table I of the paper, and the short set that the quick start trains on.
+# Table I of the paper, everything at once, and the short set that the quick
+# start trains on.
 SETS: Mapping[str, tuple[str, ...]] = {
   'pi1': ('idle',)
   + tuple(f'walk_{d}' for d in _DIRECTIONS)
   + tuple(f'leap_{d}' for d in _DIRECTIONS),
   'pi2': ('idle', 'walk_forward', 'leap_forward', 'launch'),
   'pi3': ('idle', 'walk_forward', 'hop_forward', 'leap_forward'),
+  'pi_all': ('idle',)
+  + tuple(f'walk_{d}' for d in _DIRECTIONS)
+  + tuple(f'leap_{d}' for d in _DIRECTIONS)
+  + ('hop_forward', 'launch', 'step_down', 'turn_left', 'turn_right'),
   'quickstart': ('idle', 'walk_forward', 'leap_forward'),
 }
 

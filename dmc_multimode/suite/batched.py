@@ -14,6 +14,7 @@ import numpy as np
 
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track as track_lib
+from dmc_multimode.modes import reference as reference_lib
 from dmc_multimode.suite import curriculum
 from dmc_multimode.suite import imitation
 from dmc_multimode.suite import imitation_core
@@ -86,6 +87,7 @@ class BatchedImitation:
     num_threads: int = 0,
     auto_reset: bool = True,
     privileged: bool = False,
+    replicas: int = 1,
   ):
     """Compiles the task's model; call `reset` before `step`.
 
@@ -100,6 +102,8 @@ class BatchedImitation:
         just runs on, and only its first end is reported.
       privileged: whether observations end with what only a value function may
         see, `suite.privileged`: D then grows from 33 + n_m to 42 + 2 n_m.
+      replicas: how many environments like this one train together. Of several,
+        none learns from its own episodes alone: tell each by `learn`.
     """
     self.config = task.config
     self.episodes = task.episodes
@@ -108,6 +112,7 @@ class BatchedImitation:
     self._arena = task.root_entity
     self._action_spec = task.walker.action_spec
     self._auto_reset = auto_reset
+    self._replicas = replicas
     self.privileged_size = (
       privileged_lib.size(self.codebook.latent_dim) if privileged else 0
     )
@@ -193,9 +198,10 @@ class BatchedImitation:
   def step(self, actions: np.ndarray) -> BatchedTimeStep:
     """Applies actions, [B, 10], for one control step."""
     diverged = self._advance_physics(actions)
-    self._total_steps += self.num_worlds
-    self.assistance.advance(self.num_worlds)
-    self.episodes.advance(self.num_worlds)
+    steps = self.num_worlds * self._replicas
+    self._total_steps += steps
+    self.assistance.advance(steps)
+    self.episodes.advance(steps)
     self._follow_schedules()
     outcome = self.core.advance(self.qpos, self.qvel, self.feet_contact())
     if len(diverged):
@@ -373,10 +379,29 @@ class BatchedImitation:
       self.core.tracker.state.step[ids].copy(),
       causes[ids],
     )
-    if len(ids):
-      self.episodes.update(results.initial, results.final, results.returns)
-      self.assistance.update(results.final, results.causes == 0)
+    if self._replicas == 1:
+      self.learn(
+        results.initial, results.final, results.returns, results.causes == 0
+      )
     return results
+
+  def learn(
+    self,
+    initial: np.ndarray,
+    final: np.ndarray,
+    returns: np.ndarray,
+    survived: np.ndarray,
+  ) -> None:
+    """Takes the outcome of finished episodes, one after the other.
+
+    Args:
+      initial, final: indices of their first and last modes, [N].
+      returns: normalised returns, [N].
+      survived: whether they ran to the time limit, [N].
+    """
+    if len(initial):
+      self.episodes.update(initial, final, returns)
+      self.assistance.update(final, survived)
 
   def _begin(self, ids: np.ndarray) -> None:
     """Resets the worlds `ids` to new episodes."""
@@ -413,16 +438,21 @@ class BatchedImitation:
     """Returns what evaluations look at, copies with a leading axis B.
 
     position: of the trunk, world metres, [B, 3]; reference: likewise; support:
-    height of the plane under the trunk, metres, [B]; contact: feet on the
-    ground (left, right), [B, 2]; mode: index, [B]; phase: in [0, 1], [B].
+    height of the plane under the trunk, metres, [B]; yaw: of the trunk in the
+    world, radians, [B]; contact: feet on the ground (left, right), [B, 2];
+    reference_contact: likewise, zero where the mode has none; mode: index, [B];
+    phase: in [0, 1], [B].
     """
     tracked = self.core.tracker.state
     position = self.qpos[:, :3].copy()
+    reference = self.core.reference(position[:, 0])
     return {
       'position': position,
-      'reference': self.core.reference(position[:, 0]).position,
+      'reference': reference.position,
       'support': self.core.support(position[:, 0]),
+      'yaw': reference_lib.yaw(self.qpos[:, 3:7]),
       'contact': self.feet_contact(),
+      'reference_contact': reference.contact,
       'mode': tracked.mode.copy(),
       'phase': tracked.phase.copy(),
     }

@@ -17,7 +17,7 @@ from dmc_multimode.suite import body
 DURATION = 5.1  # Seconds that an episode takes to be judged by.
 
 _DRIFT = 0.05  # Metres in `DURATION`.
-_SPEED = 1 / 6  # Of the reference's: how far off the speed may be.
+_SPEED = 1 / 6  # Of the reference's: how far off speed and turn rate may be.
 _BOB = 0.05  # Metres: how far from its mean the height of a gait may be.
 _ALTERNATION = 0.8  # Share of touch-downs.
 _RISE = 0.6  # Of the reference's rise.
@@ -103,6 +103,12 @@ def _of_gaits(motion: reference.ReferenceMotion) -> tuple[Promise, ...]:
     along = lambda trace: float(trace.velocity(trace.position)[:2] @ heading)
     slack = _SPEED * speed
     result.append(Promise('speed', speed - slack, speed + slack, along))
+  rate = reference.ReferenceBank([motion]).turns[0] / motion.duration
+  if rate:
+    slack = _SPEED * abs(rate)
+    result.append(
+      Promise('turn_rate', rate - slack, rate + slack, body.turn_rate)
+    )
   if not np.ptp(motion.positions[:, 2]):
     result.append(Promise('bob', -np.inf, _BOB, body.bob))
   contacts = [] if motion.contacts is None else motion.contacts.tolist()

@@ -16,7 +16,9 @@ class Trace(NamedTuple):
     position: of the trunk, world metres, [T, 3].
     reference: where it should be, likewise.
     support: height of the plane under it, metres, [T].
+    yaw: of the trunk, radians, [T].
     contact: feet on the ground (left, right), 0 or 1, [T, 2].
+    reference_contact: feet that should be, likewise.
     timestep: seconds.
     cycle: seconds of a cycle of the mode.
   """
@@ -24,7 +26,9 @@ class Trace(NamedTuple):
   position: np.ndarray
   reference: np.ndarray
   support: np.ndarray
+  yaw: np.ndarray
   contact: np.ndarray
+  reference_contact: np.ndarray
   timestep: float
   cycle: float
 
@@ -70,7 +74,9 @@ def traces(
       position=measured['position'][:length, world],
       reference=measured['reference'][:length, world],
       support=measured['support'][:length, world],
+      yaw=measured['yaw'][:length, world],
       contact=measured['contact'][:length, world],
+      reference_contact=measured['reference_contact'][:length, world],
       timestep=timestep,
       cycle=cycle,
     )
@@ -83,10 +89,11 @@ def metrics(trace: Trace) -> dict[str, float]:
 
   velocity, lateral_velocity: of the trunk when settled, m/s;
   reference_velocity: that of the reference; height: mean of the trunk over its
-  support, m; apex: highest in a cycle, mean over the cycles, m; rise, flight,
-  drift, alternation: see the functions of these names; single_support: share of
-  the time with just one foot on the ground; position_error: mean distance from
-  the reference, m; final_height: world height at the end, m.
+  support, m; apex: highest in a cycle, mean over the cycles, m; turn_rate,
+  rise, flight, drift, alternation, agreement: see the functions of these names;
+  single_support: share of the time with just one foot on the ground;
+  position_error: mean distance from the reference, m; final_height: world
+  height at the end, m.
   """
   velocity = trace.velocity(trace.position)
   distances = np.linalg.norm(trace.position - trace.reference, axis=-1)
@@ -94,12 +101,14 @@ def metrics(trace: Trace) -> dict[str, float]:
     'velocity': float(velocity[0]),
     'lateral_velocity': float(velocity[1]),
     'reference_velocity': float(trace.velocity(trace.reference)[0]),
+    'turn_rate': turn_rate(trace),
     'height': float(trace.height.mean()),
     'apex': float(np.mean([h.max() for h in trace.cycles(trace.height)])),
     'rise': rise(trace),
     'flight': flight(trace),
     'single_support': float((trace.contact.sum(axis=-1) == 1).mean()),
     'alternation': alternation(trace),
+    'agreement': agreement(trace),
     'drift': drift(trace),
     'position_error': float(distances.mean()),
     'final_height': float(trace.position[-1, 2]),
@@ -110,6 +119,11 @@ def drift(trace: Trace) -> float:
   """Farthest that the trunk is from where it began, horizontally, metres."""
   moved = trace.position[:, :2] - trace.position[0, :2]
   return float(np.linalg.norm(moved, axis=1).max())
+
+
+def turn_rate(trace: Trace) -> float:
+  """Mean rate at which the trunk turns left when settled, rad/s."""
+  return float(trace.velocity(np.unwrap(trace.yaw)))
 
 
 def bob(trace: Trace) -> float:
@@ -132,6 +146,15 @@ def alternation(trace: Trace) -> float:
   alone = feet.sum(axis=1) == 1
   other = (feet[1:] != feet[:-1]).all(axis=1)
   return float((alone[1:] & alone[:-1] & other).mean())
+
+
+def agreement(trace: Trace) -> float:
+  """Share of the time, when settled, that a foot does as the reference's.
+
+  It says nothing of modes whose references leave the contacts free.
+  """
+  same = trace.contact == trace.reference_contact
+  return float(trace.settled(same).mean())
 
 
 def _majority(flags: np.ndarray) -> np.ndarray:

@@ -195,7 +195,8 @@ def to_dict(config: ImitationConfig) -> dict[str, Any]:
 def from_dict(values: Mapping[str, Any]) -> ImitationConfig:
   """Returns what `to_dict` was given.
 
-  What was written before there was a `servo_inertia` knew none.
+  What was written before there was a `servo_inertia` knew none, nor a limit of
+  the angle.
 
   Raises:
     ValueError: a field is unknown or of the wrong type.
@@ -206,7 +207,9 @@ def from_dict(values: Mapping[str, Any]) -> ImitationConfig:
         'servo_inertia': False,
         **values,
         'gains': rewards.RewardGains(**values['gains']),
-        'limits': terminations.TerminationLimits(**values['limits']),
+        'limits': terminations.TerminationLimits(
+          **{'angle': math.pi, **values['limits']}
+        ),
       }
     )
   except (TypeError, KeyError) as error:

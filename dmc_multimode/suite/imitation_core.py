@@ -30,6 +30,7 @@ from dmc_multimode.suite import tracking
 
 _SLOWEST_START = 0.5  # Share of the reference's velocity.
 _FOOT_REACH = 0.12  # Metres ahead and behind the trunk that feet may cover.
+_LEAST_ALONG = 0.5  # Share of the way of a step that is along x, at least.
 _STRIDE = 0.45  # Metres ahead of the trunk where a foot may stand already.
 
 
@@ -195,7 +196,12 @@ class ImitationCore:
     reward = np.where(finite, sum(terms.values()), 0.0)
     height = safe[:, 2] - self.support(safe[:, 0])
     cause = terminations.termination_cause(
-      errors.position, reward, height, finite, self.limits
+      errors.position,
+      errors.orientation,
+      reward,
+      height,
+      finite,
+      self.limits,
     )
     return Outcome(reward, terms, errors, reference, cause)
 
@@ -307,6 +313,9 @@ class ImitationCore:
       The worlds whose terrain changed.
     """
     changed = []
+    # The ground changes along x alone, a turned robot goes along its heading.
+    along = np.cos(self.tracker.state.heading[ids])
+    along = np.maximum(along, _LEAST_ALONG)
     for mode in np.unique(modes):
       step = self._steps[mode]
       if step is None:
@@ -318,7 +327,7 @@ class ImitationCore:
         terrain_lib.with_step(
           self.terrain.rows(ids[mine]),
           x[mine],
-          x[mine] + step.edge + noise,
+          x[mine] + step.edge * along[mine] + noise,
           step.height,
         ),
       )

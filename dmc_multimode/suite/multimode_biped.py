@@ -213,7 +213,7 @@ _EASY = ('idle', 'walk_forward')
 # benchmark is a fixed set.
 for _mode in library.modes():
   _register(_mode, single_mode, _mode, 'easy' if _mode in _EASY else 'hard')
-for _set in ('pi1', 'pi2', 'pi3'):
+for _set in ('pi1', 'pi2', 'pi3', 'pi_all'):
   _register(_set, multimode, _set, 'hard', 'multimode')
 for _track in reaching.TRACKS:
   _register(f'reach_{_track}', reach, _track, 'hard', 'reaching')

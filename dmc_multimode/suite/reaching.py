@@ -18,6 +18,7 @@ from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import library
 from dmc_multimode.modes import reference
 from dmc_multimode.suite import config as config_lib
+from dmc_multimode.suite import terminations
 
 _NEAR_X, _NEAR_Z = 0.3, 0.12  # Metres from the goal that count as there.
 _UPRIGHT = 0.7  # Cosine of the trunk's tilt.
@@ -162,11 +163,10 @@ def task_config(
 ) -> config_lib.ImitationConfig:
   """Returns the policy's task without a reference to be lost."""
   task = policy.config
-  limits = task.limits._replace(distance=np.inf, reward=-np.inf)
   duration = reaching.knots * reaching.knot_duration
   return dataclasses.replace(
     config_lib.for_evaluation(task),
-    limits=limits,
+    limits=terminations.falls_alone(task.limits),
     time_limit=max(duration, task.control_timestep),
   )
 

@@ -88,7 +88,32 @@ def test_figures(
   assert done.code == 0, done.stderr
   assert done.stdout.splitlines()[-1] == f'The figures are in {folder}'
   names = {path.name for path in folder.iterdir()}
-  assert names == {'heights.png', 'sequence.png'}
+  assert names == {'heights.png', 'contacts.png', 'sequence.png'}
+
+
+def test_clock_rates(
+  evaluate: processes.Binary, policy: pathlib.Path, tmp_path: pathlib.Path
+) -> None:
+  out, folder = tmp_path / 'report.json', tmp_path / 'figures'
+  done = evaluate(
+    f'--policy={policy}',
+    '--episodes=1',
+    '--clock_rates=1,2.5',
+    f'--out={out}',
+    f'--figures={folder}',
+  )
+  assert done.code == 0, done.stderr
+  rates = json.loads(out.read_text())['clock_rates']
+  assert list(rates) == ['1', '2.5']
+  for rate, row in rates.items():
+    assert list(row) == ['walk_forward']  # Idling goes nowhere.
+    found = row['walk_forward']
+    assert found['reference'] == pytest.approx(0.6 * float(rate))
+    assert np.isfinite(found['velocity']) and 0 <= found['survival'] <= 1
+    assert f'clock rate {rate}: walk_forward {found["velocity"]:.2f}' in (
+      done.stdout
+    )
+  assert (folder / 'clock_rates.png').is_file()
 
 
 def test_what_changes_the_figures(
@@ -123,6 +148,8 @@ def test_what_changes_the_figures(
     (['--physics_timestep=0'], 'physics_timestep'),
     (['--clock_rate=0'], 'rates must be positive'),
     (['--clock_rate=nan'], 'rates must be positive'),
+    (['--clock_rates=1,0'], 'clock_rates must be positive'),
+    (['--clock_rates=fast'], "'fast'"),
     (['--seed=-1'], 'Seed'),
     (['--out={tmp}'], 'folder'),
     (['--out={tmp}/file/report.json'], 'file'),

@@ -39,6 +39,43 @@ def test_heights() -> None:
       np.testing.assert_array_equal(heights, measured[key][:length, i, 2])
 
 
+def test_contacts_are_drawn_where_feet_stand() -> None:
+  contact = np.zeros((10, 1, 2))
+  contact[2:5, 0, 0] = contact[8:, 0, 0] = 1
+  measured = {'contact': contact, 'reference_contact': np.ones((10, 1, 2))}
+  drawn = figures.contacts(('walk',), measured, np.array([9]), _TIMESTEP)
+  bars: Any = drawn.axes[0].collections
+  spans = [
+    [(path.vertices[:, 0].min(), path.vertices[:, 0].max()) for path in paths]
+    for paths in (bar.get_paths() for bar in bars)
+  ]
+  whole = [pytest.approx((0.0, 0.27))]
+  # Left and right, the robot's above the reference's.
+  assert spans == [
+    [pytest.approx((0.06, 0.15)), pytest.approx((0.24, 0.27))],
+    whole,
+    [],
+    whole,
+  ]
+
+
+def test_clock_rates() -> None:
+  row = lambda speed: {'reference': 2 * speed, 'velocity': speed}
+  values = {
+    rate: {'walk': row(0.1 * i), 'leap': row(0.3 * i)}
+    for i, rate in enumerate(('1', '2', '3'))
+  }
+  drawn = figures.clock_rates(values)
+  for axis, name, speed in zip(
+    drawn.axes, ('walk', 'leap'), (0.1, 0.3), strict=True
+  ):
+    assert axis.get_title() == name
+    lines: Any = {line.get_label(): line.get_data() for line in axis.lines}
+    np.testing.assert_array_equal(lines['robot'][0], [1, 2, 3])
+    np.testing.assert_allclose(lines['robot'][1], speed * np.arange(3))
+    np.testing.assert_allclose(lines['reference'][1], 2 * speed * np.arange(3))
+
+
 @pytest.mark.parametrize(
   ('modes', 'names', 'seconds'),
   [

@@ -18,8 +18,8 @@ def _speed(name: str) -> np.ndarray:
 
 
 class LibraryTest(parameterized.TestCase):
-  def test_has_eleven_modes_under_their_names(self) -> None:
-    self.assertLen(library.modes(), 11)
+  def test_has_fourteen_modes_under_their_names(self) -> None:
+    self.assertLen(library.modes(), 14)
     for name, motion in library.modes().items():
       self.assertEqual(name, motion.name)
 
@@ -33,7 +33,8 @@ class LibraryTest(parameterized.TestCase):
     speed = np.linalg.norm(bank.velocity(modes, phases), axis=-1)
     self.assertLess(speed.max(), 3.0)
     height = bank.sample(modes, phases).position[:, 2]
-    self.assertGreaterEqual(height.min(), 0.4)
+    lowest = min(motion.step.height, 0.0) if motion.step else 0.0
+    self.assertGreaterEqual(height.min() - lowest, 0.4)
 
   @parameterized.parameters(*library.modes())
   def test_mirror_is_its_reflection(self, name: str) -> None:
@@ -81,18 +82,37 @@ class LibraryTest(parameterized.TestCase):
     self.assertFalse(np.array_equal(one.contact, other.contact))
     np.testing.assert_array_equal(other.contact[:, 0], other.contact[:, 1])
 
-  def test_launch_lands_on_its_block(self) -> None:
-    launch = library.modes()['launch']
-    step = launch.step
+  @parameterized.parameters(('launch', 0.4), ('step_down', -0.4))
+  def test_jumps_end_behind_their_edge(self, name: str, height: float) -> None:
+    jump = library.modes()[name]
+    step = jump.step
     if step is None:
-      raise AssertionError('launch needs a block')
-    x, _, z = launch.positions[-1]
-    self.assertAlmostEqual(z, library.STAND_HEIGHT + step.height)
+      raise AssertionError('a jump needs a step')
+    self.assertEqual(step.height, height)
+    x, _, z = jump.positions[-1]
+    self.assertAlmostEqual(z, library.STAND_HEIGHT + height)
     self.assertGreater(x, step.edge)
-    self.assertGreater(launch.takeoff, 0)
+    self.assertGreater(jump.takeoff, 0)
 
-  @parameterized.parameters(('pi1', 9), ('pi2', 4), ('pi3', 4))
-  def test_sets_of_table_one(self, name: str, size: int) -> None:
+  def test_step_down_falls_as_gravity_has_it(self) -> None:
+    jump = library.modes()['step_down']
+    index = int(np.searchsorted(jump.phases, jump.takeoff))
+    takeoff, middle, touchdown = jump.positions[index : index + 3, 2]
+    times = jump.duration * np.diff(jump.phases[index : index + 3])
+    fall = times.sum()
+    climb = (touchdown - takeoff) / fall + _GRAVITY * fall / 2
+    expected = takeoff + times[0] * (climb - _GRAVITY * times[0] / 2)
+    self.assertAlmostEqual(middle, expected, delta=0.03)
+
+  @parameterized.parameters(('turn_left', 1), ('turn_right', -1))
+  def test_turns_stay_on_the_spot(self, name: str, sign: int) -> None:
+    bank = reference.ReferenceBank([library.modes()[name]])
+    self.assertAlmostEqual(bank.turns[0], sign * 0.35)
+    self.assertTrue(bank.gaits[0])
+    np.testing.assert_array_equal(bank.displacements, 0.0)
+
+  @parameterized.parameters(('pi1', 9), ('pi2', 4), ('pi3', 4), ('pi_all', 14))
+  def test_sets(self, name: str, size: int) -> None:
     motions = library.resolve(name)
     self.assertLen(motions, size)
     self.assertEqual([m.name for m in motions], list(library.SETS[name]))

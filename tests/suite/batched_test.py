@@ -43,7 +43,7 @@ _GAINS = rewards.RewardGains(0.35, 0.35, 0.3)
 _ENDLESS = config.ImitationConfig(
   gains=_GAINS,
   limits=terminations.TerminationLimits(
-    distance=np.inf, reward=-1.0, height=-np.inf
+    distance=np.inf, reward=-1.0, height=-np.inf, angle=np.pi
   ),
 )
 _ENDING = config.ImitationConfig(gains=_GAINS)

@@ -23,11 +23,19 @@ def _perfect(motion: reference.ReferenceMotion) -> body.Trace:
   sample = motion.sample(phases)
   moved = motion.positions[-1] - motion.positions[0]
   position = sample.position + turns[:, None] * moved
+  turn = reference.ReferenceBank([motion]).turns[0]
   support = np.zeros(steps)
   if motion.step is not None:
     support[position[:, 0] > motion.step.edge] = motion.step.height
   return body.Trace(
-    position, position, support, sample.contact, _TIMESTEP, motion.duration
+    position,
+    position,
+    support,
+    reference.yaw(sample.orientation) + turns * turn,
+    sample.contact,
+    sample.contact,
+    _TIMESTEP,
+    motion.duration,
   )
 
 
@@ -80,6 +88,7 @@ def test_a_body_that_stands_keeps_none_that_moves(name: str) -> None:
   trace = perfect._replace(
     position=still,
     support=np.zeros(len(still)),
+    yaw=np.zeros(len(still)),
     contact=np.ones_like(perfect.contact),
   )
   broken = {m for m, v in _verdicts(motion, trace).items() if not v.kept}

@@ -17,7 +17,9 @@ def _trace(cycle: float = 0.5, **fields: Any) -> body.Trace:
     'position': np.zeros((steps, 3)),
     'reference': np.zeros((steps, 3)),
     'support': np.zeros(steps),
+    'yaw': np.zeros(steps),
     'contact': np.ones((steps, 2)),
+    'reference_contact': np.ones((steps, 2)),
   }
   return body.Trace(**{**still, **fields}, timestep=_TIMESTEP, cycle=cycle)
 
@@ -98,6 +100,19 @@ def test_alternation(left: str, right: str, expected: float) -> None:
   assert body.alternation(_trace(contact=contact)) == expected
 
 
+def test_turn_rate_counts_whole_turns() -> None:
+  yaw = -2.0 * _TIMESTEP * np.arange(60)  # Almost two turns to the right.
+  wrapped = np.angle(np.exp(1j * yaw))
+  assert body.turn_rate(_trace(yaw=wrapped)) == pytest.approx(-2.0)
+
+
+def test_agreement_counts_feet_once_settled() -> None:
+  contact = np.ones((14, 2))
+  contact[:10] = 0  # The first second.
+  contact[10, 0] = contact[11] = 0  # Three of the eight that count.
+  assert body.agreement(_trace(contact=contact)) == pytest.approx(5 / 8)
+
+
 def test_stance_is_on_both_feet_on_the_step() -> None:
   trace = _trace(
     position=_heights(0.5, 0.9, 0.9, 0.9, 0.8, 0.9, 0.9, 0.9, 0.9),
@@ -114,7 +129,9 @@ def test_what_follows_the_end_does_not_count() -> None:
     'position': np.zeros((30, 2, 3)),
     'reference': np.zeros((30, 2, 3)),
     'support': np.zeros((30, 2)),
+    'yaw': np.zeros((30, 2)),
     'contact': np.ones((30, 2, 2)),
+    'reference_contact': np.ones((30, 2, 2)),
   }
   measured['position'][:, 0, 0] = np.arange(30)  # 10 m/s.
   measured['position'][5:, 0] = np.nan

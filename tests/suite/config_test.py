@@ -5,6 +5,7 @@ from typing import Any
 
 from absl.testing import absltest
 from absl.testing import parameterized
+import numpy as np
 
 from dmc_multimode.suite import config
 from dmc_multimode.suite import rewards
@@ -128,6 +129,11 @@ class ImitationConfigTest(parameterized.TestCase):
     )
     text = json.dumps(config.to_dict(values))
     self.assertEqual(config.from_dict(json.loads(text)), values)
+
+  def test_old_values_have_no_limit_of_the_angle(self) -> None:
+    values = config.to_dict(config.ImitationConfig())
+    del values['limits']['angle']
+    self.assertEqual(config.from_dict(values).limits.angle, np.pi)
 
   @parameterized.parameters(
     {'remove': 'gains'},

@@ -111,7 +111,7 @@ class ReferenceStartTest(parameterized.TestCase):
     aloft = self.starts.tracker.airborne(np.arange(len(phases.ravel())))
     names = {_MOTIONS[mode].name for mode in self.starts.modes[aloft]}
     leaps = {f'leap_{d}' for d in ('forward', 'backward', 'left', 'right')}
-    self.assertEqual(names, {'hop_forward', 'launch'} | leaps)
+    self.assertEqual(names, {'hop_forward', 'launch', 'step_down'} | leaps)
 
   def test_no_foot_is_in_the_ground_or_in_a_block(self) -> None:
     depth = -self.starts.gaps.min(axis=(1, 2))
@@ -130,7 +130,13 @@ class ReferenceStartTest(parameterized.TestCase):
       :, 2
     ] - self.starts.worlds.core.support(self.starts.reference.position[:, 0])
     reach = (height >= legs.LOWEST) & (height <= legs.HIGHEST)
+    reach &= ~self._lifted()
     return ~self.starts.tracker.airborne(every) & reach
+
+  def _lifted(self) -> np.ndarray:
+    """Who is over an edge, and higher than its reference, [B]."""
+    position = self.starts.worlds.qpos[:, 2]
+    return position > self.starts.reference.position[:, 2]
 
   def _standing_feet(self) -> np.ndarray:
     """Which feet stand, [B, 2]."""
@@ -142,7 +148,10 @@ class ReferenceStartTest(parameterized.TestCase):
     stance = self._standing_feet()
     standing = stance.any(axis=1)
     self.assertLen(np.unique(self.starts.modes[standing]), len(_MOTIONS))
-    # The soles, flat, on the ground.
+    # The soles, flat, on the ground; toes may reach over an edge.
+    lowest = self.starts.gaps[stance].min(axis=1)
+    np.testing.assert_allclose(lowest, 0.0, atol=1e-3)
+    stance[self.starts.modes == _NAMES.index('step_down')] = False
     lowest = np.sort(self.starts.gaps[stance], axis=1)[:, :4]
     np.testing.assert_allclose(lowest, 0.0, atol=1e-3)
     heights = self.starts.worlds.qpos[standing, 2]
@@ -165,7 +174,8 @@ class ReferenceStartTest(parameterized.TestCase):
     walking = swinging.sum(axis=1) > 0
     names = {_MOTIONS[mode].name for mode in starts.modes[walking]}
     directions = ('forward', 'backward', 'left', 'right')
-    self.assertEqual(names, {f'walk_{d}' for d in directions})
+    turns = {'turn_left', 'turn_right'}
+    self.assertEqual(names, {f'walk_{d}' for d in directions} | turns)
     np.testing.assert_array_equal(swinging.sum(axis=1), walking)
     np.testing.assert_array_equal(
       swinging, walking[:, None] & (starts.reference.contact == 0)
@@ -184,16 +194,19 @@ class ReferenceStartTest(parameterized.TestCase):
     np.testing.assert_allclose(flown, 2 * trunk, atol=1e-4)
 
   def test_trunk_is_on_its_reference(self) -> None:
-    """But where legs that are drawn up would be in the block."""
+    """But where legs would be in the block, or in the edge behind them."""
     starts = self.starts
     position, wanted = starts.worlds.qpos[:, :3], starts.reference.position
     np.testing.assert_array_equal(position[:, :2], wanted[:, :2])
     self.assertTrue(np.all(position[:, 2] >= wanted[:, 2]))
-    lifted = position[:, 2] > wanted[:, 2]
+    lifted = self._lifted()
     names = {_MOTIONS[mode].name for mode in starts.modes[lifted]}
-    self.assertEqual(names, {'launch'})
-    top = starts.worlds.core.terrain.tops[lifted, 1]
-    np.testing.assert_allclose(position[lifted, 2], top + legs.CROUCH_HEIGHT)
+    self.assertEqual(names, {'launch', 'step_down'})
+    top = starts.worlds.core.terrain.tops[:, :2].max(axis=1)
+    lifted &= starts.tracker.airborne(np.arange(len(lifted)))
+    np.testing.assert_allclose(
+      position[lifted, 2], top[lifted] + legs.CROUCH_HEIGHT
+    )
 
   def test_velocity_is_the_reference_s_or_slower(self) -> None:
     starts = self.starts
@@ -225,7 +238,13 @@ class ObstacleStartTest(ReferenceStartTest):
   obstacle_share = 1.0
 
   def test_they_are_there(self) -> None:
-    names = {'walk_forward', 'leap_forward', 'hop_forward', 'launch'}
+    names = {
+      'walk_forward',
+      'leap_forward',
+      'hop_forward',
+      'launch',
+      'step_down',
+    }
     core = self.starts.worlds.core
     meeting = np.isfinite(core.terrain.starts[:, 1])
     found = {_MOTIONS[mode].name for mode in self.starts.modes[meeting]}

@@ -27,7 +27,7 @@ _CALM = dataclasses.replace(
   tilt_noise=0.0,
 )
 _ANYTHING_GOES = terminations.TerminationLimits(
-  distance=np.inf, reward=-1.0, height=-np.inf
+  distance=np.inf, reward=-1.0, height=-np.inf, angle=np.pi
 )
 
 
@@ -176,7 +176,7 @@ class EndOfEpisodeTest(parameterized.TestCase):
       ['idle'],
       task_config=dataclasses.replace(
         _CALM,
-        limits=terminations.TerminationLimits(distance=np.inf, reward=0.0),
+        limits=terminations.TerminationLimits(np.inf, 0.0, angle=np.pi),
       ),
     )
     time_step = env.reset()

@@ -185,11 +185,12 @@ class DrawTest(_Case):
     of = lambda name: modes == _NAMES.index(name)
     meeting = np.isfinite(drawn.edge)
     expected = of('walk_forward') | of('hop_forward')
-    expected |= of('leap_forward') | of('launch')
+    jumping = of('launch') | of('step_down')
+    expected |= of('leap_forward') | jumping
     np.testing.assert_array_equal(meeting, expected)
     gaps = drawn.gap >= 0.1
     flying = of('leap_forward') | of('hop_forward')
-    np.testing.assert_array_equal(gaps & ~of('launch'), flying)
+    np.testing.assert_array_equal(gaps & ~jumping, flying)
     np.testing.assert_array_equal(
       drawn.height > 0.1 + _HAIR, of('launch') & (drawn.height > 0.1 + _HAIR)
     )

@@ -161,7 +161,9 @@ for _task in _TASKS:
 class TasksTest(parameterized.TestCase):
   def test_every_mode_and_set_has_a_task(self) -> None:
     reach = tuple(f'reach_{track}' for track in reaching.TRACKS)
-    self.assertEqual(_TASKS, (*library.modes(), 'pi1', 'pi2', 'pi3', *reach))
+    self.assertEqual(
+      _TASKS, (*library.modes(), 'pi1', 'pi2', 'pi3', 'pi_all', *reach)
+    )
 
   @parameterized.parameters(*library.modes())
   def test_single_mode_is_commanded(self, mode: str) -> None:
