@@ -20,7 +20,7 @@ from dmc_multimode.suite import terminations
 
 _SPEED_WINDOW = 0.3  # Seconds over which the shown speed is a mean.
 # Nothing but a state that is not finite ends an episode with these limits.
-_NO_LIMITS = terminations.TerminationLimits(np.inf, -np.inf, -np.inf)
+_NO_LIMITS = terminations.TerminationLimits(np.inf, -np.inf, -np.inf, np.pi)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,7 +129,7 @@ class Rollout:
     self._policy, self._config = policy, config
     self._limits = policy.config.limits
     if not config.imitation:
-      self._limits = self._limits._replace(distance=np.inf, reward=-np.inf)
+      self._limits = terminations.falls_alone(self._limits)
     self.task = multimode_biped.make_task(
       policy.motions,
       codebook=policy.codebook,
@@ -219,6 +219,7 @@ class Rollout:
     height = position[2] - task.core.support(position[:1])
     cause = terminations.termination_cause(
       outcome.errors.position,
+      outcome.errors.orientation,
       outcome.reward,
       height,
       np.array([True]),
