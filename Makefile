@@ -5,6 +5,10 @@
 #                onto a block: out/modes.mp4, out/demo.mp4, out/plan.png
 #   make test    lint, format, types and every test
 #   make train   train the quickstart policy into runs/quickstart
+#   make reproduce  every table and figure of the paper from the shipped
+#                policies, into out/reproduction; goes on where it stopped
+#   make retrain train all these policies again, into runs/ (hours; see
+#                docs/REPRODUCTION.md); goes on where it stopped
 #   make lint    lint, format and types alone
 #   make clean   remove what make made, the environment included (not runs/)
 #
@@ -15,7 +19,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DELETE_ON_ERROR:
-.PHONY: demo test train lint setup clean
+.PHONY: demo test train reproduce retrain lint setup clean
 
 PYTHON ?= python3
 PYTEST_ARGS ?=
@@ -25,6 +29,10 @@ BIN := $(VENV)/bin
 OUT := out
 # Walk, leap, onto the block that launch calls for, leap on top, stand.
 SCHEDULE := walk_forward:2.4,leap_forward:2.4,launch:2,leap_forward:2.4,idle:2
+
+# What `make retrain` trains, one after the other.
+EXPERIMENTS ?= pi2 pi2_uniform pi1 pi1_uniform pi3 pi_all pi2_one_hot \
+  unimodal_idle unimodal_walk unimodal_leap unimodal_launch
 
 # The pinned build is the CPU one where the index offers it.
 TORCH ?= $(if $(shell nvidia-smi -L 2>/dev/null),torch,torch==2.13.0)
@@ -59,6 +67,19 @@ lint: setup
 train: setup
 	$(BIN)/python -m dmc_multimode.bin.train \
 	  --flagfile=flags/quickstart.flags --run_dir=runs/quickstart $(TRAIN_ARGS)
+
+reproduce: setup
+	$(BIN)/python -m benchmarks.reproduce --out=$(OUT)/reproduction
+
+# Some are long: each is resumed where it stopped, and done ones end at once.
+retrain: setup
+	for name in $(EXPERIMENTS); do \
+	  if [ -e runs/$$name/config.json ]; then what=--resume; else \
+	  what="--flagfile=flags/$$name.flags"; fi; \
+	  steps=$$(sed -n 's/^--steps=/--steps=/p' flags/$$name.flags); \
+	  $(BIN)/python -m dmc_multimode.bin.train $$what $$steps \
+	    --keep_every=3000000 --run_dir=runs/$$name $(TRAIN_ARGS); \
+	done
 
 setup: $(VENV)/installed $(VENV)/gl
 

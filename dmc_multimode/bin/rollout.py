@@ -19,8 +19,6 @@ from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite import terminations
 
 _SPEED_WINDOW = 0.3  # Seconds over which the shown speed is a mean.
-# Nothing but a state that is not finite ends an episode with these limits.
-_NO_LIMITS = terminations.TerminationLimits(np.inf, -np.inf, -np.inf, np.pi)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -272,7 +270,7 @@ def _task_config(
   if rollout.physics_timestep is not None:
     changes['physics_timestep'] = rollout.physics_timestep
   if not rollout.terminate:
-    changes['limits'] = _NO_LIMITS
+    changes['limits'] = terminations.NO_LIMITS
   return dataclasses.replace(config_lib.for_evaluation(config), **changes)
 
 

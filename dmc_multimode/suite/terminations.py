@@ -30,6 +30,10 @@ class TerminationLimits(NamedTuple):
   angle: float = 1.0
 
 
+# Nothing but a state that is not finite ends an episode with these.
+NO_LIMITS = TerminationLimits(np.inf, -np.inf, -np.inf, np.pi)
+
+
 def falls_alone(limits: TerminationLimits) -> TerminationLimits:
   """Returns limits that forgive a robot everything but to fall."""
   return limits._replace(distance=np.inf, reward=-np.inf, angle=np.pi)

@@ -1,0 +1,117 @@
+"""The experiments of the paper as commands, and its Table II beside ours."""
+
+import pathlib
+import subprocess
+import sys
+import time
+from typing import Any, NamedTuple
+
+from dmc_multimode import pretrained
+
+_TRAINING_FILE = 'training.csv'
+
+# Table II: MRA over modes and over transitions, mean and standard deviation.
+PAPER: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {
+  'pi1_uniform': ((0.81, 0.06), (0.71, 0.09)),
+  'pi1': ((0.87, 0.04), (0.77, 0.05)),
+  'pi2_uniform': ((0.87, 0.10), (0.64, 0.18)),
+  'pi2': ((0.91, 0.05), (0.79, 0.24)),
+}
+
+
+class Part(NamedTuple):
+  """One command.
+
+  Attributes:
+    name: of its log and report.
+    command: arguments of python; `{out}` stands for the folder.
+    needs: policies that it evaluates.
+  """
+
+  name: str
+  command: tuple[str, ...]
+  needs: tuple[str, ...]
+
+
+def parts(episodes: int) -> list[Part]:
+  """Returns everything that there is to run."""
+  result = []
+  for name in pretrained.names():
+    command: tuple[str, ...] = (
+      '-m',
+      'dmc_multimode.bin.evaluate',
+      f'--policy={name}',
+      f'--episodes={episodes}',
+      '--clock_rates=1,2,3',
+      f'--out={{out}}/{name}.json',
+      f'--figures={{out}}/{name}',
+    )
+    result.append(Part(name, command, (name,)))
+  for name in ('pi1', 'pi2'):
+    needs = name, f'{name}_uniform'
+    labels = zip(('adaptive', 'uniform'), needs, strict=True)
+    command = (
+      '-m',
+      'dmc_multimode.bin.curves',
+      f'--out={{out}}/curves_{name}',
+      *(f'--run={label}={_training(policy)}' for label, policy in labels),
+    )
+    result.append(Part(f'curves_{name}', command, needs))
+  benchmark = lambda name, *more: (
+    *('-m', f'benchmarks.{name}', f'--out={{out}}/{name}.json'),
+    *more,
+  )
+  drawing = '--figures={out}'
+  return [
+    *result,
+    Part('aliasing', benchmark('aliasing', drawing), ('pi2', 'pi2_one_hot')),
+    Part(
+      'switching',
+      benchmark('switching', drawing),
+      ('pi2', 'unimodal_walk', 'unimodal_launch'),
+    ),
+    Part('planning', benchmark('planning', '--random=0'), ('pi2',)),
+    Part('robustness', benchmark('robustness', '--episodes=1'), ('pi2',)),
+  ]
+
+
+def _training(policy: str) -> pathlib.Path:
+  """Returns where the curves of a shipped policy's training are."""
+  return pathlib.Path(pretrained.__file__).parent / policy / _TRAINING_FILE
+
+
+def run(part: Part, out: pathlib.Path) -> float:
+  """Runs a command with its output in a log; returns seconds.
+
+  Raises:
+    ChildProcessError: it failed.
+  """
+  began = time.monotonic()
+  log = out / f'{part.name}.log'
+  command = [word.format(out=out) for word in part.command]
+  with open(log, 'w', encoding='utf-8') as file:
+    done = subprocess.run(
+      [sys.executable, *command], stdout=file, stderr=subprocess.STDOUT
+    )
+  if done.returncode:
+    raise ChildProcessError(f'{part.name} failed: see {log}.')
+  return time.monotonic() - began
+
+
+def table_two(reports: dict[str, dict[str, Any]]) -> list[str]:
+  """Returns the lines of Table II, the paper's figures beside ours."""
+  lines = [
+    f'{"":14}{"MRA modes":>30}{"MRA transitions":>30}',
+    f'{"":14}{"paper":>14}{"ours":>16}{"paper":>14}{"ours":>16}',
+  ]
+  for name, (modes, transitions) in PAPER.items():
+    line = f'{name:14}'
+    for kind, paper in (('modes', modes), ('transitions', transitions)):
+      line += f'{f"{paper[0]:.2f} +- {paper[1]:.2f}":>14}'
+      mine = '(not shipped)'
+      if name in reports:
+        mra = reports[name][f'mra_{kind}']
+        mine = f'{mra["mean"]:.3f} +- {mra["std"]:.3f}'
+      line += f'{mine:>16}'
+    lines.append(line)
+  return lines
