@@ -2,7 +2,6 @@
 
 import json
 import pathlib
-from typing import Iterator
 
 import numpy as np
 import pytest
@@ -38,19 +37,6 @@ def test_the_start_does_not_count() -> None:
   assert height_profiles.separation(heights, _TIMESTEP) == 0.0
   heights['robot'][0, 12] += 1.0
   assert height_profiles.separation(heights, _TIMESTEP) > 0.0
-
-
-@pytest.fixture(scope='module')
-def benchmark(
-  tmp_path_factory: pytest.TempPathFactory,
-) -> Iterator[processes.Binary]:
-  binary = processes.Binary(
-    'app',  # A binary without flags, to be replaced.
-    tmp_path_factory.mktemp('output'),
-    'from benchmarks import aliasing as binary',
-  )
-  yield binary
-  binary.close()
 
 
 @pytest.fixture(scope='module')

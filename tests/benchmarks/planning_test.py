@@ -2,24 +2,10 @@
 
 import json
 import pathlib
-from typing import Iterator
 
 import pytest
 
 from tests.bin import processes
-
-
-@pytest.fixture(scope='module')
-def benchmark(
-  tmp_path_factory: pytest.TempPathFactory,
-) -> Iterator[processes.Binary]:
-  binary = processes.Binary(
-    'app',  # A binary without flags, to be replaced.
-    tmp_path_factory.mktemp('output'),
-    'from benchmarks import planning as binary',
-  )
-  yield binary
-  binary.close()
 
 
 def test_report(benchmark: processes.Binary, tmp_path: pathlib.Path) -> None:

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import pathlib
-from typing import Iterator
 
 import mujoco
 import numpy as np
@@ -103,19 +102,6 @@ def test_obstacles(folder: pathlib.Path) -> None:
   tops = worlds.core.terrain.tops[:, 1]
   assert (tops < 0.4).all()
   assert np.ptp(tops) > 0
-
-
-@pytest.fixture(scope='module')
-def benchmark(
-  tmp_path_factory: pytest.TempPathFactory,
-) -> Iterator[processes.Binary]:
-  binary = processes.Binary(
-    'app',  # A binary without flags, to be replaced.
-    tmp_path_factory.mktemp('output'),
-    'from benchmarks import robustness as binary',
-  )
-  yield binary
-  binary.close()
 
 
 def test_report(

@@ -2,7 +2,6 @@
 
 import json
 import pathlib
-from typing import Iterator
 
 import numpy as np
 import pytest
@@ -59,19 +58,6 @@ def test_switches_are_spread_over_a_cycle() -> None:
   schedule = hard_switch.make_schedule(bank, 'walk_forward', 'launch', 4)
   np.testing.assert_array_equal(schedule.modes, [[0, 1]] * 4)
   np.testing.assert_allclose(schedule.starts[:, 1], [1.2, 1.35, 1.5, 1.65])
-
-
-@pytest.fixture(scope='module')
-def benchmark(
-  tmp_path_factory: pytest.TempPathFactory,
-) -> Iterator[processes.Binary]:
-  binary = processes.Binary(
-    'app',  # A binary without flags, to be replaced.
-    tmp_path_factory.mktemp('output'),
-    'from benchmarks import switching as binary',
-  )
-  yield binary
-  binary.close()
 
 
 def test_report(
