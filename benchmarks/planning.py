@@ -7,8 +7,12 @@ the noise on joints, tilt and velocities; then `--random` tracks with a gap, a
 plateau and a block of random sizes in random order (`parkour`), from end to
 end. Seconds are from the first roll-out to the last; steps are control steps of
 all worlds together. The paper's times are its own, on another machine.
+
+Under `torchrun` in place of `python`, several processes share the tracks; each
+plans on its share of the cores, so that seconds grow and plans stay.
 """
 
+import json
 import pathlib
 import statistics
 import sys
@@ -21,8 +25,10 @@ import tqdm
 
 from benchmarks import common
 from dmc_multimode import pretrained
+from dmc_multimode.agents import distributed
 from dmc_multimode.arenas import track
 from dmc_multimode.bin import app
+from dmc_multimode.bin import ranks
 from dmc_multimode.planner import planning
 from dmc_multimode.planner import q_learning
 from dmc_multimode.planner import search
@@ -49,10 +55,12 @@ def solve(
   name: str,
   config: reaching.ReachingConfig,
   planner: planning.PlannerConfig,
+  threads: int = 0,
 ) -> Row:
-  """Returns what a planner finds on a track."""
+  """Returns what a planner finds on a track, with threads or all cores."""
   make_arena = lambda: track.make(name)
-  found = planning.Solver(policy, make_arena, config, planner).solve()
+  solver = planning.Solver(policy, make_arena, config, planner, threads)
+  found = solver.solve()
   return {
     'track': name,
     'seed': config.seed,
@@ -150,16 +158,31 @@ def _groups(rows: Sequence[Row]) -> list[list[Row]]:
   return list(groups.values())
 
 
-def main(argv: Sequence[str]) -> None:
-  """Plans, prints, writes."""
-  del argv
+def _of_all_ranks(
+  communicator: distributed.Communicator, mine: Sequence[Row]
+) -> list[Row]:
+  """Returns the rows of all cases in order at rank 0, and none elsewhere."""
+  parts = communicator.collect(json.dumps(mine).encode())
+  rows = [json.loads(part) for part in parts]
+  count = sum(len(part) for part in rows)
+  return [rows[i % len(rows)][i // len(rows)] for i in range(count)]
+
+
+def _plan(communicator: distributed.Communicator) -> None:
+  """Plans for every rank's share of the cases; rank 0 prints and writes."""
   out, cases = common.out_path(_OUT.value), _cases()
   policy = pretrained.load(_POLICY.value)
   torch.set_num_threads(1)  # As `plan` does.
-  print(f'{_POLICY.value}, {common.CORES} cores, mujoco {mujoco.__version__}')
+  is_first, is_alone = communicator.rank == 0, communicator.size == 1
+  threads = 0 if is_alone else distributed.local_cores()
+  if is_first:
+    print(f'{_POLICY.value}, {common.CORES} cores, mujoco {mujoco.__version__}')
   rows: list[Row] = []
-  for name, config, planner in tqdm.tqdm(cases, unit='plan'):
-    rows.append(solve(policy, name, config, planner))
+  mine = cases[communicator.rank :: communicator.size]
+  for name, config, planner in tqdm.tqdm(
+    mine, unit='plan', disable=not is_first
+  ):
+    rows.append(solve(policy, name, config, planner, threads))
     if not rows[-1]['success']:
       x, _, z = rows[-1]['final_position']
       tqdm.tqdm.write(
@@ -167,13 +190,27 @@ def main(argv: Sequence[str]) -> None:
         f'{config.goal[0]:.2f}, z = {z:.2f} m',
         sys.stderr,
       )
+    if is_alone:
+      _write(out, rows)
+  rows = _of_all_ranks(communicator, rows)
+  if is_first:
     _write(out, rows)
+    _print(rows)
+
+
+def _print(rows: Sequence[Row]) -> None:
   print(
     f'{"track":12}{"planner":12}{"solved":>12}{"return":>9}{"seconds":>9}'
     f'{"steps/s":>10}{"paper s":>9}'
   )
   for group in _groups(rows):
     print(_line(summary(group)))
+
+
+def main(argv: Sequence[str]) -> int:
+  """Plans, prints, writes, with the other ranks if there are any."""
+  del argv
+  return ranks.run(_plan)
 
 
 def cli() -> None:

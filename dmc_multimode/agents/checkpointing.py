@@ -4,6 +4,7 @@ import json
 import os
 import pathlib
 from typing import Any, Mapping
+import zlib
 
 import numpy as np
 import safetensors
@@ -11,6 +12,7 @@ from safetensors import torch as safetensors_torch
 import torch
 
 from dmc_multimode import atomic
+from dmc_multimode.agents import distributed
 
 _FORMAT = 'dmc_multimode.checkpoint.1'
 NAME = 'checkpoint.safetensors'
@@ -24,7 +26,8 @@ def save_tensors(
 ) -> None:
   """Writes tensors and a JSON-able dictionary into one safetensors file."""
   converted = {
-    key: torch.as_tensor(value).contiguous() for key, value in tensors.items()
+    key: torch.as_tensor(value).cpu().contiguous()
+    for key, value in tensors.items()
   }
   text = {'json': json.dumps(dict(metadata))}
   atomic.write(path, safetensors_torch.save(converted, metadata=text))
@@ -116,3 +119,87 @@ class Checkpointer:
     if not self.exists():
       raise FileNotFoundError(f'{self.path} does not exist.')
     raise ValueError(problem)
+
+
+# What every rank of a training has of its own, in the names of its state.
+_OWN = ('actor/', 'environment/', 'learner/generator')
+_NETWORK = 'learner/network/'
+
+
+def collect(
+  communicator: distributed.Communicator,
+  tensors: Mapping[str, torch.Tensor | np.ndarray],
+) -> dict[str, Any]:
+  """Collects the states of all ranks at rank 0.
+
+  Returns:
+    At rank 0 its own `tensors`, and as `rank1/NAME` what another rank has of
+    its own; at the others nothing but their own.
+
+  Raises:
+    ValueError: the ranks do not hold the same network.
+  """
+  if communicator.size == 1:
+    return dict(tensors)
+  state = {name: torch.as_tensor(value) for name, value in tensors.items()}
+  network = [v for k, v in state.items() if k.startswith(_NETWORK)]
+  checksum = zlib.crc32(b''.join(v.cpu().numpy().tobytes() for v in network))
+  if len(communicator.gather(torch.tensor([checksum])).unique()) > 1:
+    raise ValueError(
+      'The ranks no longer hold the same network: resume from the last '
+      'checkpoint, on machines of one kind.'
+    )
+  own = {k: v.contiguous() for k, v in state.items() if k.startswith(_OWN)}
+  payloads = communicator.collect(
+    safetensors_torch.save(own) if communicator.rank else b''
+  )
+  for rank, payload in enumerate(payloads[1:], start=1):
+    others = safetensors_torch.load(payload)
+    state |= {f'rank{rank}/{name}': value for name, value in others.items()}
+  return state
+
+
+def scatter(
+  communicator: distributed.Communicator,
+  tensors: Mapping[str, torch.Tensor],
+  values: Mapping[str, Any],
+) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+  """Gives every rank its part of what `collect` has collected.
+
+  Args:
+    communicator: of the ranks.
+    tensors, values: a checkpoint; only what rank 0 gives matters.
+
+  Raises:
+    ValueError: it is of another number of ranks.
+  """
+
+  def text() -> str:
+    if values.get('ranks', 1) != communicator.size:
+      raise ValueError(
+        f'The checkpoint is of {values.get("ranks", 1)} processes, this run '
+        f'has {communicator.size}: resume it with as many.'
+      )
+    return json.dumps(dict(values))
+
+  shared = json.loads(distributed.from_first(communicator, text))
+  if communicator.size == 1:
+    return dict(tensors), shared
+  payloads = []
+  if communicator.rank == 0:
+    payloads = [
+      safetensors_torch.save(_of_rank(tensors, rank))
+      for rank in range(communicator.size)
+    ]
+  return safetensors_torch.load(communicator.scatter(payloads)), shared
+
+
+def _of_rank(
+  tensors: Mapping[str, torch.Tensor], rank: int
+) -> dict[str, torch.Tensor]:
+  """Returns the state of one rank from that of all of them."""
+  shared = {k: v for k, v in tensors.items() if not k.startswith('rank')}
+  if not rank:
+    return shared
+  prefix = f'rank{rank}/'
+  return {k: tensors.get(prefix + k, v) for k, v in shared.items()}

@@ -6,15 +6,26 @@ from dm_env import specs
 import numpy as np
 
 
-class EpisodeResults(Protocol):
-  """Episodes that ended in a step, N of them; see `BatchedEnvironment`."""
+class FinishedEpisodes(Protocol):
+  """N episodes, wherever they were.
 
-  worlds: np.ndarray
+  Attributes:
+    initial, final: indices of their first and last modes, [N].
+    returns: normalised returns, [N].
+    causes: why they ended, 0 for the time limit, [N].
+  """
+
   initial: np.ndarray
   final: np.ndarray
   returns: np.ndarray
-  lengths: np.ndarray
   causes: np.ndarray
+
+
+class EpisodeResults(FinishedEpisodes, Protocol):
+  """Those that ended in a step; see `BatchedTimeStep`."""
+
+  worlds: np.ndarray
+  lengths: np.ndarray
 
 
 class BatchedTimeStep(Protocol):
@@ -63,3 +74,19 @@ class MeasuredEnvironment(BatchedEnvironment, Protocol):
 
   def measure(self) -> dict[str, np.ndarray]:
     """Returns position, reference, support, contact, ..., [B, ...] each."""
+
+
+class TrainingEnvironment(BatchedEnvironment, Protocol):
+  """A batched environment that learns which episodes to begin."""
+
+  def learn(
+    self,
+    initial: np.ndarray,
+    final: np.ndarray,
+    returns: np.ndarray,
+    survived: np.ndarray,
+  ) -> None:
+    """Takes the outcome of finished episodes, its own and others', [N] each.
+
+    An environment that trains alone learns by itself, and is not told.
+    """

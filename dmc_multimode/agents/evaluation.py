@@ -3,7 +3,9 @@
 from typing import Any, Callable, NamedTuple
 
 import numpy as np
+import torch
 
+from dmc_multimode.agents import distributed
 from dmc_multimode.agents import environment as environment_lib
 
 SelectAction = Callable[[np.ndarray], np.ndarray]
@@ -66,6 +68,38 @@ def run_episodes(
     progress()
   stacked = {name: np.stack(values) for name, values in traces.items()}
   return Episodes(returns, survived, lengths, stacked)
+
+
+def of_all_ranks(
+  episodes: Episodes, mine: np.ndarray, communicator: distributed.Communicator
+) -> Episodes:
+  """Returns episodes of which every rank has run some.
+
+  Args:
+    episodes: all B as this rank has them.
+    mine: which of them it has run; those of the ranks are all B.
+    communicator: of the ranks.
+  """
+  if communicator.size == 1:
+    return episodes
+  gather = lambda rows: communicator.gather(torch.from_numpy(rows)).numpy()
+  places = np.argsort(gather(mine))
+  share = lambda values: gather(values[mine])[places]
+  steps = [len(trace) for trace in episodes.traces.values()][:1]
+  longest = int(gather(np.array(steps, dtype=np.int64)).max(initial=0))
+
+  def share_trace(trace: np.ndarray) -> np.ndarray:
+    # A rank's last steps are repeated: they mean nothing.
+    times = np.minimum(np.arange(longest), len(trace) - 1)
+    rows = share(np.moveaxis(trace[times], 1, 0))
+    return np.ascontiguousarray(np.moveaxis(rows, 0, 1))
+
+  return Episodes(
+    share(episodes.returns),
+    share(episodes.survived),
+    share(episodes.lengths),
+    {name: share_trace(trace) for name, trace in episodes.traces.items()},
+  )
 
 
 def summary(values: np.ndarray) -> dict[str, float]:

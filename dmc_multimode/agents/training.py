@@ -8,6 +8,8 @@ from typing import Any, Callable, Mapping
 import numpy as np
 import torch
 
+from dmc_multimode.agents import checkpointing
+from dmc_multimode.agents import distributed
 from dmc_multimode.agents import environment as environment_lib
 from dmc_multimode.agents import loggers
 from dmc_multimode.agents.ppo import acting
@@ -54,8 +56,8 @@ class ReturnTracker:
     self.survival = np.zeros((num_modes, num_modes))
     self.seen = np.zeros((num_modes, num_modes))
 
-  def update(self, results: environment_lib.EpisodeResults) -> None:
-    """Takes in finished episodes."""
+  def update(self, results: environment_lib.FinishedEpisodes) -> None:
+    """Takes in finished episodes, in order."""
     for i, f, value, cause in zip(
       results.initial,
       results.final,
@@ -89,33 +91,50 @@ class ReturnTracker:
     return result
 
 
+@dataclasses.dataclass
+class _Episodes:
+  """See `environment.FinishedEpisodes`."""
+
+  initial: np.ndarray
+  final: np.ndarray
+  returns: np.ndarray
+  causes: np.ndarray
+
+
 class TrainingLoop:
-  """Collects rollouts in all worlds, learns from them, over and over."""
+  """Collects rollouts in all worlds, learns from them, over and over.
+
+  Where several ranks train together, each has some of the worlds. They agree on
+  when to stop and to save, and `run`, `state` and `restore` are collective.
+  """
 
   def __init__(
     self,
-    environment: environment_lib.BatchedEnvironment,
+    environment: environment_lib.TrainingEnvironment,
     actor: acting.BatchedActor,
     learner: learning.PPOLearner,
     rollout_length: int,
     mode_names: tuple[str, ...],
     probabilities: Callable[[], Mapping[str, float]],
+    communicator: distributed.Communicator = distributed.LOCAL,
   ):
     """Connects the parts and resets the environment.
 
     Args:
-      environment: B worlds.
+      environment: B worlds, those of this rank.
       actor: explores in them.
       learner: updates the actor's network.
       rollout_length: control steps a world and iteration.
       mode_names: of the modes that episodes are about, for the logs.
       probabilities: what is sampled how often, for the logs.
+      communicator: connects the ranks that train together.
     """
     self._environment = environment
     self._actor, self._learner = actor, learner
     self._length = rollout_length
     self._names = mode_names
     self._probabilities = probabilities
+    self._communicator = communicator
     self._returns = ReturnTracker(len(mode_names))
     self.steps = self.iterations = 0
     self._observation = torch.from_numpy(environment.reset())
@@ -139,6 +158,7 @@ class TrainingLoop:
   def _collect(self) -> None:
     """Fills the buffers with one rollout of every world."""
     data, seen = self._buffers, self._observation
+    finished = []
     for t in range(self._length):
       sample = self._actor.sample(seen)
       step = self._environment.step(sample.action.numpy())
@@ -156,10 +176,23 @@ class TrainingLoop:
       data.next_observations[t, torch.from_numpy(worlds[timed_out])] = (
         torch.from_numpy(step.final_observation[timed_out])
       )
-      self._returns.update(step.results)
+      finished.append(_table(t, step.results))
     self._observation = seen
-    self.steps += self._length * self._environment.num_worlds
+    worlds_in_all = self._environment.num_worlds * self._communicator.size
+    self.steps += self._length * worlds_in_all
     self.iterations += 1
+    self._learn_from_episodes(np.concatenate(finished))
+
+  def _learn_from_episodes(self, mine: np.ndarray) -> None:
+    """Tells what the episodes of all ranks have come to; see `_table`."""
+    table = self._communicator.gather(torch.from_numpy(mine)).numpy()
+    # As if one rank had all worlds: by time first.
+    table = table[np.argsort(table[:, 0], kind='stable')]
+    initial, final, causes = table[:, 1:4].T.astype(np.int64)
+    episodes = _Episodes(initial, final, table[:, 4], causes)
+    self._returns.update(episodes)
+    if self._communicator.size > 1:
+      self._environment.learn(initial, final, table[:, 4], causes == 0)
 
   def run(
     self,
@@ -193,10 +226,14 @@ class TrainingLoop:
         speed = (self.steps - logged_steps) / (now - logged)
         logged, logged_steps = now, self.steps
         logger.write(self._row(metrics, speed))
-      if now - saved > config.checkpoint_seconds:
+      save_now, stop = self._communicator.any(
+        now - saved > config.checkpoint_seconds,
+        should_stop() or now - began > 60 * config.minutes,
+      )
+      if save_now:
         save()
         saved = time.monotonic()
-      if should_stop() or now - began > 60 * config.minutes:
+      if stop:
         break
     save()
 
@@ -210,13 +247,22 @@ class TrainingLoop:
     }
 
   def state(self) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Returns tensors and JSON-able values that `restore` needs."""
+    """Returns tensors and JSON-able values that `restore` needs.
+
+    Rank 0 gets those of all ranks; what others get is of no use.
+
+    Raises:
+      ValueError: the ranks do not hold the same network.
+    """
     tensors: dict[str, Any] = {}
     for prefix, part in self._parts():
       tensors |= {f'{prefix}/{k}': v for k, v in part.state().items()}
     for name in ('returns', 'survival', 'seen'):
       tensors[f'tracker/{name}'] = getattr(self._returns, name).copy()
-    return tensors, {'steps': self.steps, 'iterations': self.iterations}
+    values = {'steps': self.steps, 'iterations': self.iterations}
+    if self._communicator.size > 1:
+      values['ranks'] = self._communicator.size
+    return checkpointing.collect(self._communicator, tensors), values
 
   def _parts(self) -> tuple[tuple[str, Any], ...]:
     return (
@@ -230,9 +276,14 @@ class TrainingLoop:
   ) -> None:
     """Takes over a `state`; training then continues bit for bit.
 
+    Args:
+      tensors, values: what `state` returned; only those of rank 0 matter.
+
     Raises:
-      ValueError: the state is of another network, task or number of worlds.
+      ValueError: the state is of another network, task or number of worlds or
+        of ranks.
     """
+    tensors, values = checkpointing.scatter(self._communicator, tensors, values)
     try:
       self._learner.restore(learning.part_of(tensors, 'learner/'))
       self._actor.restore(learning.part_of(tensors, 'actor/'))
@@ -248,3 +299,12 @@ class TrainingLoop:
     except KeyError as error:
       raise ValueError(f'The checkpoint lacks {error}.') from error
     self.steps, self.iterations = values['steps'], values['iterations']
+
+
+def _table(step: int, results: environment_lib.EpisodeResults) -> np.ndarray:
+  """Returns (step, initial, final, cause, return) of episodes, [N, 5]."""
+  steps = np.full(len(results.initial), step)
+  return np.stack(
+    (steps, results.initial, results.final, results.causes, results.returns),
+    axis=1,
+  ).astype(np.float64)

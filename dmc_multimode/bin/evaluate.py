@@ -1,6 +1,8 @@
 """Evaluates a policy: every mode, every transition, no exploration.
 
 python -m dmc_multimode.bin.evaluate --policy=quickstart --out=report.json
+
+Under `torchrun` in place of `python`, several processes share the episodes.
 """
 
 import json
@@ -13,10 +15,12 @@ import numpy as np
 
 from dmc_multimode import atomic
 from dmc_multimode import pretrained
+from dmc_multimode.agents import distributed
 from dmc_multimode.bin import app
 from dmc_multimode.bin import config_flags
 from dmc_multimode.bin import figures
 from dmc_multimode.bin import outputs
+from dmc_multimode.bin import ranks
 from dmc_multimode.bin import scoring
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite import config as config_lib
@@ -132,9 +136,8 @@ def _rates() -> list[float]:
   return rates
 
 
-def main(argv: Sequence[str]) -> None:
-  """Evaluates and reports."""
-  del argv
+def _evaluate(communicator: distributed.Communicator) -> None:
+  """Evaluates; rank 0 reports."""
   if _EPISODES.value < 1:
     raise ValueError(f'--episodes must be positive, got {_EPISODES.value}.')
   rates = _rates()
@@ -144,13 +147,26 @@ def main(argv: Sequence[str]) -> None:
   config = config_lib.for_evaluation(policy.config)
   if _TIMESTEP.value is not None:
     config = config_flags.replace(config, physics_timestep=_TIMESTEP.value)
-  evaluator = scoring.Evaluator(policy, config, _SEED.value)
+  evaluator = scoring.Evaluator(
+    policy, config, _SEED.value, communicator=communicator
+  )
   values = scoring.report(evaluator, _EPISODES.value, _CLOCK_RATE.value)
   if rates:
     values['clock_rates'] = scoring.evaluate_clock_rates(
       evaluator, scoring.MODE_FACTOR * _EPISODES.value, rates
     )
   values['provenance'] = dict(policy.provenance)
+  if communicator.rank == 0:
+    _report(values, out, folder, scoring.Evaluator(policy, config, _SEED.value))
+
+
+def _report(
+  values: dict[str, Any],
+  out: pathlib.Path | None,
+  folder: pathlib.Path | None,
+  evaluator: scoring.Evaluator,
+) -> None:
+  """Prints, writes and draws what there is to be told."""
   print_report(values)
   if out:
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -159,6 +175,12 @@ def main(argv: Sequence[str]) -> None:
   if folder:
     draw(evaluator, values, folder)
     print(f'The figures are in {folder}')
+
+
+def main(argv: Sequence[str]) -> int:
+  """Evaluates and reports, with the other ranks if there are any."""
+  del argv
+  return ranks.run(_evaluate)
 
 
 def cli() -> None:

@@ -8,6 +8,7 @@ from typing import Any, Mapping
 import torch
 
 from dmc_multimode import atomic
+from dmc_multimode.agents import distributed
 from dmc_multimode.agents import training
 from dmc_multimode.agents.ppo import builder as builder_lib
 from dmc_multimode.agents.ppo import config as ppo_config
@@ -38,8 +39,9 @@ class RunConfig:
   Attributes:
     modes: a set's name or mode names, comma-separated.
     seed: of all randomness.
-    num_worlds: stepped together.
-    threads: of the physics and of torch; part of bit-reproducibility.
+    num_worlds: stepped together, by all processes.
+    threads: of the physics and of torch, in each process; part of
+      bit-reproducibility.
     one_hot: one-hot commands instead of an encoder's latents.
     ppo: of the learner.
     sampling: of Algorithm 1.
@@ -63,6 +65,11 @@ class RunConfig:
         raise ValueError(f'{name} must be positive, got {getattr(self, name)}.')
     if not 0 <= self.seed < 2**32:
       raise ValueError(f'seed must be in [0, 2^32), got {self.seed}.')
+
+
+Ingredients = tuple[
+  RunConfig, tuple[reference.ReferenceMotion, ...], codebook_lib.Codebook
+]
 
 
 def to_dict(config: RunConfig) -> dict[str, Any]:
@@ -90,6 +97,15 @@ def from_dict(values: Mapping[str, Any]) -> RunConfig:
     raise ValueError(f'Not the configuration of a run: {error}.') from error
 
 
+def check_ranks(config: RunConfig, ranks: int) -> None:
+  """Raises ValueError where so many processes cannot share the worlds."""
+  if config.num_worlds % ranks:
+    raise ValueError(
+      f'num_worlds {config.num_worlds} is the total over all processes: '
+      f'{ranks} of them cannot have equally many.'
+    )
+
+
 def save_run(
   directory: pathlib.Path,
   config: RunConfig,
@@ -97,21 +113,37 @@ def save_run(
   codebook: codebook_lib.Codebook,
 ) -> None:
   """Writes what a run needs to be resumed, besides its checkpoint."""
+  text = describe(config, motions, codebook)
+  atomic.write(directory / CONFIG_FILE, text.encode())
+
+
+def describe(
+  config: RunConfig,
+  motions: tuple[reference.ReferenceMotion, ...],
+  codebook: codebook_lib.Codebook,
+) -> str:
+  """Returns JSON from which `parse` makes the same again."""
   description = {
     'run': to_dict(config),
     'modes': [files.motion_to_dict(motion) for motion in motions],
     'latents': codebook.latents.tolist(),
   }
-  atomic.write(
-    directory / CONFIG_FILE, json.dumps(description, indent=1).encode()
-  )
+  return json.dumps(description, indent=1)
 
 
-def load_run(
-  directory: pathlib.Path,
-) -> tuple[
-  RunConfig, tuple[reference.ReferenceMotion, ...], codebook_lib.Codebook
-]:
+def parse(text: str) -> Ingredients:
+  """Returns what `describe` was given; raises ValueError for anything else."""
+  try:
+    description = json.loads(text)
+    motions = tuple(files.motion_from_dict(m) for m in description['modes'])
+    names = tuple(motion.name for motion in motions)
+    codebook = codebook_lib.Codebook(names, description['latents'])
+    return from_dict(description['run']), motions, codebook
+  except (KeyError, TypeError) as error:
+    raise ValueError(str(error)) from error
+
+
+def load_run(directory: pathlib.Path) -> Ingredients:
   """Reads what `save_run` wrote.
 
   Raises:
@@ -124,12 +156,8 @@ def load_run(
       f'{directory} holds no run to resume; start one without --resume.'
     )
   try:
-    description = json.loads(path.read_text(encoding='utf-8'))
-    motions = tuple(files.motion_from_dict(m) for m in description['modes'])
-    names = tuple(motion.name for motion in motions)
-    codebook = codebook_lib.Codebook(names, description['latents'])
-    return from_dict(description['run']), motions, codebook
-  except (KeyError, TypeError, ValueError) as error:
+    return parse(path.read_text(encoding='utf-8'))
+  except ValueError as error:
     raise ValueError(f'{path} is damaged: {error}') from error
 
 
@@ -169,8 +197,18 @@ def build(
   config: RunConfig,
   motions: tuple[reference.ReferenceMotion, ...],
   codebook: codebook_lib.Codebook,
+  communicator: distributed.Communicator = distributed.LOCAL,
+  device: torch.device | str = 'cpu',
 ) -> Run:
-  """Connects environment, agent and loop; nothing is trained yet."""
+  """Connects environment, agent and loop; nothing is trained yet.
+
+  Args:
+    config: of the run, which `check_ranks` has seen.
+    motions: its modes.
+    codebook: their latents.
+    communicator: of the ranks, each of which builds its own part.
+    device: on which the network is, and learns.
+  """
   # The learner fits two networks at once, each with its share of the threads.
   torch.set_num_threads(max(config.threads // 2, 1))
   bank = reference.ReferenceBank(motions)
@@ -185,12 +223,15 @@ def build(
   )
   environment = batched.BatchedImitation(
     task,
-    config.num_worlds,
-    config.seed,
+    config.num_worlds // communicator.size,
+    distributed.rank_seed(config.seed, communicator.rank),
     config.threads,
     privileged=config.ppo.privileged_critic,
+    replicas=communicator.size,
   )
-  builder = builder_lib.PPOBuilder(config.ppo, config.seed)
+  builder = builder_lib.PPOBuilder(
+    config.ppo, config.seed, communicator, device
+  )
   network = builder.make_networks(
     environment.observation_spec(),
     environment.action_spec(),
@@ -199,15 +240,18 @@ def build(
   )
   mirror = None
   if config.ppo.symmetry != 'none':
-    mirror = symmetry.Mirror(environment.mirror_image(), codebook.latents)
+    mirror = symmetry.Mirror(
+      environment.mirror_image(), codebook.latents, device
+    )
   loop = training.TrainingLoop(
     environment,
     builder.make_actor(network),
     builder.make_learner(
       network,
       mirror,
-      symmetry.Commands(codebook.latents),
-      parallel=config.threads > 1,
+      symmetry.Commands(codebook.latents, device=device),
+      # A GPU gains nothing, and NCCL's operations must not cross.
+      parallel=config.threads > 1 and torch.device(device).type == 'cpu',
     ),
     config.ppo.rollout_length,
     codebook.names,
@@ -215,5 +259,6 @@ def build(
       **environment.episodes.probabilities(),
       'assistance': environment.assistance.share,
     },
+    communicator,
   )
   return Run(config, environment, network, loop)

@@ -8,6 +8,7 @@ from typing import Any, Protocol, Sequence
 import numpy as np
 import tqdm
 
+from dmc_multimode.agents import distributed
 from dmc_multimode.agents import environment
 from dmc_multimode.agents import evaluation
 from dmc_multimode.modes import codebook as codebook_lib
@@ -40,7 +41,11 @@ class Policy(Protocol):
 
 
 class Evaluator:
-  """Runs schedules of one policy, one episode a world."""
+  """Runs schedules of one policy, one episode a world.
+
+  Where there are several ranks, each runs some of the episodes, and all of them
+  get the result, which is what one process would find.
+  """
 
   def __init__(
     self,
@@ -48,10 +53,12 @@ class Evaluator:
     config: config_lib.ImitationConfig,
     seed: int,
     quiet: bool = False,
+    communicator: distributed.Communicator = distributed.LOCAL,
   ):
     """Evaluates `policy` on the task of `config`, with progress bars or not."""
     self.policy, self.config, self.seed = policy, config, seed
-    self._quiet = quiet
+    self._quiet = quiet or communicator.rank > 0
+    self._communicator = communicator
     self.bank = reference.ReferenceBank(policy.motions)
 
   def changed(self, **fields: Any) -> 'Evaluator':
@@ -78,9 +85,23 @@ class Evaluator:
       episodes_lib.ScheduledEpisodes(schedule),
       config=self.config,
     )
-    return batched.BatchedImitation(
-      task, len(schedule), self.seed, auto_reset=False
+    is_alone = self._communicator.size == 1
+    worlds = batched.BatchedImitation(
+      task,
+      len(schedule),
+      self.seed,
+      0 if is_alone else distributed.local_cores(),
+      auto_reset=False,
     )
+    # All worlds draw from one stream: it takes all of them to draw the same.
+    # Those of other ranks then stand still, which costs next to nothing.
+    worlds.moving[:] = self._mine(schedule)
+    return worlds
+
+  def _mine(self, schedule: schedule_lib.ModeSchedule) -> np.ndarray:
+    """Returns whether this rank runs each row, [B]."""
+    rows = np.arange(len(schedule))
+    return rows % self._communicator.size == self._communicator.rank
 
   def run(
     self, schedule: schedule_lib.ModeSchedule, label: str
@@ -90,9 +111,12 @@ class Evaluator:
     with tqdm.tqdm(
       total=self.config.horizon, desc=label, unit='step', disable=self._quiet
     ) as bar:
-      return evaluation.run_episodes(
+      found = evaluation.run_episodes(
         worlds, self.policy.select_action, bar.update
       )
+    return evaluation.of_all_ranks(
+      found, np.flatnonzero(self._mine(schedule)), self._communicator
+    )
 
 
 def evaluate_modes(

@@ -6,20 +6,30 @@ r"""Trains a policy.
 Every field of the configurations is a flag: --ppo_*, --sampling_*, --task_*.
 Ctrl-C stops after the current iteration, with a checkpoint; --resume goes on
 from the last checkpoint as if nothing had happened.
+
+Under `torchrun` in place of `python`, several processes train one policy, each
+in its share of the worlds: see docs/SCALING.md.
 """
 
+import functools
+import json
 import os
 import pathlib
 import signal
-from typing import Any, Sequence
+import socket
+from typing import Any, Mapping, NamedTuple, Sequence
 
 from absl import flags
+import torch
 
+from dmc_multimode import atomic
 from dmc_multimode.agents import checkpointing
+from dmc_multimode.agents import distributed
 from dmc_multimode.agents import loggers
 from dmc_multimode.agents import training
 from dmc_multimode.bin import app
 from dmc_multimode.bin import config_flags
+from dmc_multimode.bin import ranks
 from dmc_multimode.bin import run_setup
 from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import encoder as encoder_lib
@@ -44,10 +54,17 @@ _MODES = flags.DEFINE_string(
 )
 _SEED = flags.DEFINE_integer('seed', _DEFAULTS.seed, 'Of all randomness.')
 _NUM_WORLDS = flags.DEFINE_integer(
-  'num_worlds', _DEFAULTS.num_worlds, 'Worlds that are stepped together.'
+  'num_worlds',
+  _DEFAULTS.num_worlds,
+  'Worlds that are stepped together, by all processes.',
 )
 _THREADS = flags.DEFINE_integer(
-  'threads', os.cpu_count() or 1, 'Threads of the physics and of torch.'
+  'threads',
+  distributed.local_cores(),
+  'Threads of the physics and of torch, in each process.',
+)
+_DEVICE = flags.DEFINE_enum(
+  'device', 'cpu', ['cpu', 'cuda'], 'Where networks are, and learn.'
 )
 _ONE_HOT = flags.DEFINE_bool(
   'one_hot', _DEFAULTS.one_hot, 'One-hot commands instead of latents.'
@@ -65,11 +82,8 @@ _KEEP_EVERY = flags.DEFINE_integer(
 for _part in ('ppo', 'sampling', 'task'):
   config_flags.define(getattr(_DEFAULTS, _part), _part)
 
-_Ingredients = tuple[
-  run_setup.RunConfig,
-  tuple[reference.ReferenceMotion, ...],
-  codebook_lib.Codebook,
-]
+# Beside a run: which launch of `torchrun` has begun it.
+LAUNCH_FILE = 'launch'
 
 
 def _config_from_flags() -> run_setup.RunConfig:
@@ -87,9 +101,10 @@ def _config_from_flags() -> run_setup.RunConfig:
   )
 
 
-def _begin(directory: pathlib.Path) -> _Ingredients:
+def _begin(directory: pathlib.Path, size: int) -> run_setup.Ingredients:
   """Checks everything, then makes the folder and the encoder of a new run."""
   config = _config_from_flags()
+  run_setup.check_ranks(config, size)
   extra = files.load(_MODE_FILE.value) if _MODE_FILE.value else ()
   motions = library.resolve(config.modes, extra)
   codebook = codebook_lib.one_hot(motions)
@@ -123,7 +138,7 @@ def _train_encoder(
   )
 
 
-def _continue(directory: pathlib.Path) -> _Ingredients:
+def _continue(directory: pathlib.Path, size: int) -> run_setup.Ingredients:
   """Reads a run back; flags that contradict it are an error."""
   config, motions, codebook = run_setup.load_run(directory)
   wanted = run_setup.to_dict(_config_from_flags())
@@ -142,7 +157,63 @@ def _continue(directory: pathlib.Path) -> _Ingredients:
       f'The run in {directory} has another {different[0]} than these flags '
       'say: leave them out to resume it, or name another folder.'
     )
+  run_setup.check_ranks(config, size)
   return config, motions, codebook
+
+
+def _launch() -> str:
+  """Names this launch of `torchrun`, all restarts included; '' without one."""
+  name = os.environ.get('TORCHELASTIC_RUN_ID', '')
+  # What torchrun calls a launch that was given no name.
+  return f'{socket.gethostname()}:{os.getppid()}' if name == 'none' else name
+
+
+def _is_restart(directory: pathlib.Path) -> bool:
+  """Whether this launch has begun the run there, in processes that died."""
+  launch = directory / LAUNCH_FILE
+  return (
+    bool(_launch())
+    and (directory / run_setup.CONFIG_FILE).is_file()
+    and launch.is_file()
+    and launch.read_text(encoding='utf-8') == _launch()
+  )
+
+
+class _Opened(NamedTuple):
+  """A run that begins or goes on; its checkpoint is known to rank 0 alone."""
+
+  ingredients: run_setup.Ingredients
+  is_new: bool
+  has_checkpoint: bool
+  tensors: Mapping[str, torch.Tensor]
+  values: Mapping[str, Any]
+
+
+def _open(
+  directory: pathlib.Path, communicator: distributed.Communicator
+) -> _Opened:
+  """Opens the run at rank 0, which tells the others what they need of it."""
+  opened = []
+
+  def at_first() -> str:
+    is_new = not (_RESUME.value or _is_restart(directory))
+    prepare = _begin if is_new else _continue
+    ingredients = prepare(directory, communicator.size)
+    tensors: Mapping[str, torch.Tensor] = {}
+    values: Mapping[str, Any] = {}
+    checkpointer = checkpointing.Checkpointer(directory)
+    if checkpointer.exists():
+      tensors, values, note = checkpointer.load()
+      print(note or f'Resuming at {values["steps"]:,} steps.', flush=True)
+    opened.append(_Opened(ingredients, is_new, bool(values), tensors, values))
+    return json.dumps([bool(values), run_setup.describe(*ingredients)])
+
+  has_checkpoint, text = json.loads(
+    distributed.from_first(communicator, at_first)
+  )
+  if opened:
+    return opened[0]
+  return _Opened(run_setup.parse(text), False, has_checkpoint, {}, {})
 
 
 class _Stop:
@@ -173,41 +244,64 @@ def _make_logger(directory: pathlib.Path, steps: int) -> loggers.Dispatcher:
   )
 
 
-def main(argv: Sequence[str]) -> None:
-  """Trains or resumes."""
-  del argv
+def _build(
+  directory: pathlib.Path,
+  device: torch.device,
+  communicator: distributed.Communicator,
+) -> run_setup.Run:
+  """Builds this rank's part of a new run, or of one that goes on."""
+  opened = _open(directory, communicator)
+  run = run_setup.build(*opened.ingredients, communicator, device)
+  if opened.is_new:
+    if _launch():
+      atomic.write(directory / LAUNCH_FILE, _launch().encode())
+    run_setup.save_run(directory, *opened.ingredients)
+  if opened.has_checkpoint:
+    run.loop.restore(opened.tensors, opened.values)
+  return run
+
+
+def _train(
+  device: torch.device, communicator: distributed.Communicator
+) -> None:
+  """Trains or resumes; rank 0 alone writes and prints."""
   length = training.TrainingConfig(
     _STEPS.value, _MINUTES.value, keep_every=_KEEP_EVERY.value
   )
   if not _RUN_DIR.value:
     raise ValueError('--run_dir must name a folder.')
   directory = pathlib.Path(_RUN_DIR.value)
-  config, motions, codebook = (
-    _continue(directory) if _RESUME.value else _begin(directory)
-  )
-  run = run_setup.build(config, motions, codebook)
-  if not _RESUME.value:
-    run_setup.save_run(directory, config, motions, codebook)
+  run = _build(directory, device, communicator)
+  is_first = communicator.rank == 0
   checkpointer = checkpointing.Checkpointer(directory)
-  if checkpointer.exists():
-    tensors, values, note = checkpointer.load()
-    print(note or f'Resuming at {values["steps"]:,} steps.', flush=True)
-    run.loop.restore(tensors, values)
 
   def save() -> None:
-    checkpointer.save(*run.loop.state())
-    run.policy().save(directory / 'policy')
+    state = run.loop.state()
+    if is_first:
+      checkpointer.save(*state)
+      run.policy().save(directory / 'policy')
 
   def keep() -> None:
-    run.policy().save(directory / 'policies' / str(run.loop.steps))
+    if is_first:
+      run.policy().save(directory / 'policies' / str(run.loop.steps))
 
   stop = _Stop()
-  logger = _make_logger(directory, run.loop.steps)
+  logger = loggers.Dispatcher([])
+  if is_first:
+    logger = _make_logger(directory, run.loop.steps)
   try:
     run.loop.run(length, logger, save, stop, keep)
   finally:
     logger.close()
-  print(f'{run.loop.steps:,} steps; the policy is in {directory / "policy"}')
+  if is_first:
+    print(f'{run.loop.steps:,} steps; the policy is in {directory / "policy"}')
+
+
+def main(argv: Sequence[str]) -> int:
+  """Trains or resumes, with the other ranks if there are any."""
+  del argv
+  device = distributed.find_device(_DEVICE.value)
+  return ranks.run(functools.partial(_train, device), device)
 
 
 def cli() -> None:

@@ -68,6 +68,15 @@ class TargetEnvironment:
     results = Results(every, zeros, zeros, reward, zeros + 1, zeros)
     return TimeStep(reward, ones, ones > 0, self.reset(), seen, results)
 
+  def learn(
+    self,
+    initial: np.ndarray,
+    final: np.ndarray,
+    returns: np.ndarray,
+    survived: np.ndarray,
+  ) -> None:
+    pass
+
   def state(self) -> dict[str, np.ndarray]:
     return {'observation': self._observation.copy()}
 

@@ -291,6 +291,11 @@ def test_interrupt_stops_with_a_checkpoint(tmp_path: pathlib.Path) -> None:
     (['--run_dir={tmp}/file/below'], 'file'),
     (['--run_dir={tmp}/file'], 'file'),
     (['--resume'], 'without --resume'),
+    pytest.param(
+      ['--device=cuda'],
+      '--device=cuda',
+      marks=pytest.mark.skipif(torch.cuda.is_available(), reason='It is there'),
+    ),
     (['--run_dir='], '--run_dir must name'),
     (['idle'], "'idle'"),
   ],

@@ -19,9 +19,9 @@ class BatchedActor:
 
   @torch.no_grad()
   def sample(self, observation: torch.Tensor) -> networks.Sample:
-    """Explores, for observations float32 [B, D]."""
-    mean = self._network.act(observation)
-    std = self._network.std
+    """Explores, for observations float32 [B, D]; all is on the CPU."""
+    std = self._network.std.cpu()
+    mean = self._act(observation)
     noise = torch.empty_like(mean).normal_(generator=self._generator)
     action = mean + std * noise
     return networks.Sample(action, networks.log_prob(action, mean, std), mean)
@@ -29,7 +29,11 @@ class BatchedActor:
   @torch.no_grad()
   def select_action(self, observation: np.ndarray) -> np.ndarray:
     """Returns the mean actions for observations float32 [B, D], [B, A]."""
-    return self._network.act(torch.from_numpy(observation)).numpy()
+    return self._act(torch.from_numpy(observation)).numpy()
+
+  def _act(self, observation: torch.Tensor) -> torch.Tensor:
+    """Asks the network, wherever it is."""
+    return self._network.act(observation.to(self._network.log_std.device)).cpu()
 
   def state(self) -> dict[str, torch.Tensor]:
     """Returns the exploration's generator."""

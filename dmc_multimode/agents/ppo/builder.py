@@ -4,6 +4,7 @@ from dm_env import specs
 import numpy as np
 import torch
 
+from dmc_multimode.agents import distributed
 from dmc_multimode.agents.ppo import acting
 from dmc_multimode.agents.ppo import config as config_lib
 from dmc_multimode.agents.ppo import learning
@@ -14,9 +15,25 @@ from dmc_multimode.agents.ppo import symmetry
 class PPOBuilder:
   """Makes networks, learner and actors for one configuration and seed."""
 
-  def __init__(self, config: config_lib.PPOConfig, seed: int):
-    """All randomness of the agent derives from `seed`."""
+  def __init__(
+    self,
+    config: config_lib.PPOConfig,
+    seed: int,
+    communicator: distributed.Communicator = distributed.LOCAL,
+    device: torch.device | str = 'cpu',
+  ):
+    """Makes what one of the communicating ranks has.
+
+    Args:
+      config: hyperparameters.
+      seed: all randomness of the agent derives from it, and that of minibatches
+        and exploration from the rank too.
+      communicator: connects the ranks.
+      device: on which networks are, and learn.
+    """
     self._config, self._seed = config, seed
+    self._communicator, self._device = communicator, device
+    self._own_seed = distributed.rank_seed(seed, communicator.rank)
 
   def make_networks(
     self,
@@ -35,7 +52,7 @@ class PPOBuilder:
     """
     with torch.random.fork_rng(devices=[]):
       torch.manual_seed(self._seed)
-      return networks.ActorCritic(
+      network = networks.ActorCritic(
         observation_spec.shape[0] - privileged_size,
         action_spec.shape[0],
         self._config.hidden_sizes,
@@ -43,7 +60,10 @@ class PPOBuilder:
         initial_action,
         privileged_size,
         self._config.activation,
-      )
+      ).to(self._device)
+    # Another kind of machine may round another way.
+    self._communicator.broadcast(list(network.state_dict().values()))
+    return network
 
   def make_learner(
     self,
@@ -54,9 +74,15 @@ class PPOBuilder:
   ) -> learning.PPOLearner:
     """Returns a learner that updates `network` in place; see `PPOLearner`."""
     return learning.PPOLearner(
-      network, self._config, self._seed + 1, mirror, commands, parallel
+      network,
+      self._config,
+      self._own_seed + 1,
+      mirror,
+      commands,
+      parallel,
+      self._communicator,
     )
 
   def make_actor(self, network: networks.ActorCritic) -> acting.BatchedActor:
     """Returns an actor that explores with `network`."""
-    return acting.BatchedActor(network, self._seed + 2)
+    return acting.BatchedActor(network, self._own_seed + 2)

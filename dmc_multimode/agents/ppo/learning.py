@@ -3,13 +3,13 @@
 from concurrent import futures
 import functools
 import itertools
-import math
 from typing import Any, Iterator, Mapping, NamedTuple, Sequence
 
 import torch
-from torch import nn
 
+from dmc_multimode.agents import distributed
 from dmc_multimode.agents.ppo import config as config_lib
+from dmc_multimode.agents.ppo import descent
 from dmc_multimode.agents.ppo import losses
 from dmc_multimode.agents.ppo import networks
 from dmc_multimode.agents.ppo import symmetry
@@ -61,6 +61,10 @@ class PPOLearner:
   Policy and value function share nothing, so that each is fitted by itself, and
   two threads can fit both at once: operations as small as these gain more from
   that than from being cut in two each. The result is the same.
+
+  Several ranks, each with rollouts of its own, learn one network: whatever is
+  computed over samples is computed over those of all ranks, so that all hold
+  the same network to the bit. Only minibatches are drawn by each for itself.
   """
 
   def __init__(
@@ -71,16 +75,18 @@ class PPOLearner:
     mirror: symmetry.Mirror | None = None,
     commands: symmetry.Commands | None = None,
     parallel: bool = False,
+    communicator: distributed.Communicator = distributed.LOCAL,
   ):
     """Creates the optimisers.
 
     Args:
-      network: what is learned.
+      network: what is learned, where it is to be learned.
       config: hyperparameters.
       seed: of the minibatches.
       mirror: needed where `config.symmetry` is not 'none'.
       commands: needed where `config.advantages` is 'mode'.
       parallel: whether to fit policy and value function at the same time.
+      communicator: connects the ranks that learn this network.
 
     Raises:
       ValueError: symmetry is asked for without a mirror.
@@ -100,8 +106,10 @@ class PPOLearner:
     policy = [
       p for p in network.parameters() if p.requires_grad and id(p) not in theirs
     ]
-    self._policy = _Part(policy, config)
-    self._value = _Part(value, config)
+    self._communicator = communicator
+    self._policy = descent.Descent(policy, config, communicator)
+    # A thread of its own must not come between the operations of this one.
+    self._value = descent.Descent(value, config, communicator.split())
     self._worker = futures.ThreadPoolExecutor(1, 'value') if parallel else None
     self.learning_rate = config.learning_rate
     network.bound_std(*self._std_bounds())
@@ -110,11 +118,14 @@ class PPOLearner:
     """Learns from one iteration's rollouts; returns metrics by name.
 
     Raises:
-      FloatingPointError: the rollouts or the update are not finite; the
-        network is left as it was before this step.
+      FloatingPointError: the rollouts or the update are not finite, at any
+        rank; the network is left as it was before this step.
     """
+    device = self.network.log_std.device
+    rollouts = Rollouts(*(field.to(device) for field in rollouts))
     numbers = [field for field in rollouts if field.is_floating_point()]
-    if not all(torch.isfinite(field).all() for field in numbers):
+    finite = all(torch.isfinite(field).all() for field in numbers)
+    if self._communicator.any(not finite)[0]:
       raise FloatingPointError(
         'The rollouts hold values that are not finite; the last checkpoint is '
         'unharmed: resume from it, with a lower learning rate if it recurs.'
@@ -135,16 +146,23 @@ class PPOLearner:
       raise
     kl = self._divergence(samples, old_std)
     self._adapt_learning_rate(kl)
-    self.network.normaliser.update(rollouts.observations.flatten(0, 1))
+    self.network.normaliser.update(
+      rollouts.observations.flatten(0, 1), self._communicator
+    )
     self.network.bound_std(*self._std_bounds())
-    mean = {
-      key: float(torch.stack([m[key] for m in metrics]).mean())
-      for key in metrics[0]
-    }
+    mean = self._mean(metrics)
     mean['kl'] = kl
     mean['learning_rate'] = self.learning_rate
     mean['std'] = float(self.network.std.detach().mean())
     return mean
+
+  def _mean(self, metrics: Sequence[Metrics]) -> dict[str, float]:
+    """Returns the mean over minibatches and ranks of each metric."""
+    means = [
+      torch.stack([m[key] for m in metrics]).mean() for key in metrics[0]
+    ]
+    self._communicator.average(means)
+    return {key: float(m) for key, m in zip(metrics[0], means, strict=True)}
 
   def _fit(
     self, samples: _Samples, batches: Sequence[torch.Tensor]
@@ -166,9 +184,10 @@ class PPOLearner:
   def _orders(self, count: int) -> Iterator[torch.Tensor]:
     """Yields, for every pass, which of `count` samples it takes, in order."""
     shuffle = functools.partial(torch.randperm, generator=self._generator)
+    device = self.network.log_std.device
     if self._config.symmetry != 'alternate':
       for _ in range(self._config.epochs):
-        yield shuffle(count)
+        yield shuffle(count).to(device)
       return
     half = count // 2  # The images follow the originals.
     side = torch.zeros(half, dtype=torch.int64)
@@ -178,7 +197,7 @@ class PPOLearner:
       else:
         side = 1 - side
       order = shuffle(half)
-      yield order + half * side[order]
+      yield (order + half * side[order]).to(device)
 
   @torch.no_grad()
   def _prepare(self, rollouts: Rollouts) -> _Samples:
@@ -209,7 +228,9 @@ class PPOLearner:
       assert self._commands is not None  # So says the constructor.
       groups = self._commands.modes(rollouts.observations.flatten(0, 1))
     samples = samples._replace(
-      advantages=losses.normalised(samples.advantages, groups)
+      advantages=losses.normalised(
+        samples.advantages, groups, self._communicator
+      )
     )
     return self._with_mirror_images(samples, rollouts)
 
@@ -276,14 +297,13 @@ class PPOLearner:
     A few samples of robots that tumble, where the policy is steep and nothing
     is at stake, make up most of the mean.
     """
-    return float(
-      networks.kl_divergence(
-        samples.means[::_KL_STRIDE],
-        old_std,
-        self.network.mean(samples.observations[::_KL_STRIDE]),
-        self.network.std,
-      ).median()
+    divergences = networks.kl_divergence(
+      samples.means[::_KL_STRIDE],
+      old_std,
+      self.network.mean(samples.observations[::_KL_STRIDE]),
+      self.network.std,
     )
+    return float(self._communicator.gather(divergences).median())
 
   def _std_bounds(self) -> tuple[float, float]:
     """Bounds of the std by the steps that were learned from."""
@@ -326,7 +346,7 @@ class PPOLearner:
     self._generator.set_state(state['generator'])
     self._set_learning_rate(float(state['learning_rate']))
 
-  def _parts(self) -> tuple[tuple[str, '_Part'], ...]:
+  def _parts(self) -> tuple[tuple[str, descent.Descent], ...]:
     return (('policy', self._policy), ('value', self._value))
 
   def _set_learning_rate(self, value: float) -> None:
@@ -344,48 +364,3 @@ def part_of(
     for key, value in state.items()
     if key.startswith(prefix)
   }
-
-
-class _Part:
-  """Parameters that are learned together, and their optimiser."""
-
-  def __init__(
-    self, parameters: list[nn.Parameter], config: config_lib.PPOConfig
-  ):
-    self._parameters = parameters
-    self._max_norm = config.max_gradient_norm
-    self._optimiser = torch.optim.Adam(
-      parameters, lr=config.learning_rate, eps=1e-5, fused=True
-    )
-
-  def descend(self, loss: torch.Tensor) -> torch.Tensor:
-    """Takes one step; returns the norm of the gradient before clipping."""
-    self._optimiser.zero_grad(set_to_none=True)
-    loss.backward()
-    norm = nn.utils.clip_grad_norm_(self._parameters, self._max_norm)
-    if not math.isfinite(norm):
-      raise FloatingPointError(
-        'A gradient is not finite; the last checkpoint is unharmed: resume '
-        'from it, with a lower learning rate if it recurs.'
-      )
-    self._optimiser.step()
-    return norm
-
-  def set_learning_rate(self, value: float) -> None:
-    for group in self._optimiser.param_groups:
-      group['lr'] = value
-
-  def state(self) -> dict[str, torch.Tensor]:
-    """Returns the moments, `NUMBER/NAME`; empty before the first step."""
-    return {
-      f'{i}/{key}': value
-      for i, parameter in enumerate(self._parameters)
-      for key, value in self._optimiser.state.get(parameter, {}).items()
-    }
-
-  def restore(self, state: Mapping[str, torch.Tensor]) -> None:
-    self._optimiser.state.clear()
-    for name, value in state.items():
-      number, _, key = name.partition('/')
-      moments = self._optimiser.state[self._parameters[int(number)]]
-      moments[key] = value.clone()

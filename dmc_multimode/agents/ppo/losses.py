@@ -2,6 +2,8 @@
 
 import torch
 
+from dmc_multimode.agents import distributed
+
 
 def generalised_advantages(
   rewards: torch.Tensor,
@@ -37,21 +39,27 @@ def generalised_advantages(
 
 
 def normalised(
-  advantages: torch.Tensor, groups: torch.Tensor | None = None
+  advantages: torch.Tensor,
+  groups: torch.Tensor | None = None,
+  communicator: distributed.Communicator = distributed.LOCAL,
 ) -> torch.Tensor:
   """Shifts and scales advantages to mean 0 and standard deviation 1.
 
   Args:
     advantages: [N].
     groups: index of the group in which each is normalised, [N]; one by default.
+    communicator: of the ranks over whose advantages mean and deviation are.
   """
   if groups is None:
-    return (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+    _, mean, std = communicator.moments(advantages)
+    return (advantages - mean) / (std + 1e-8)
   result = torch.zeros_like(advantages)
-  for group in groups.unique():
+  # Every rank must go through all groups, whichever of them it has.
+  for group in range(int(communicator.gather(groups.max()[None]).max()) + 1):
     mine = groups == group
-    if mine.sum() > 1:
-      result[mine] = normalised(advantages[mine])
+    count, mean, std = communicator.moments(advantages[mine])
+    if count > 1:
+      result[mine] = (advantages[mine] - mean) / (std + 1e-8)
   return result
 
 

@@ -7,6 +7,8 @@ import numpy as np
 import torch
 from torch import nn
 
+from dmc_multimode.agents import distributed
+
 _VARIANCE_FLOOR = 1e-4
 ACTIVATIONS = {'elu': nn.ELU, 'silu': nn.SiLU, 'tanh': nn.Tanh}
 _CLIP = 8.0  # Normalised observations beyond this many sigmas are cut off.
@@ -33,12 +35,25 @@ class Normaliser(nn.Module):
     return ((observation - self.mean[:size]) * scale).clamp_(-_CLIP, _CLIP)
 
   @torch.no_grad()
-  def update(self, observations: torch.Tensor) -> None:
-    """Takes in a batch of observations [N, D] (Chan et al. 1979)."""
-    added = observations.shape[0]
+  def update(
+    self,
+    observations: torch.Tensor,
+    communicator: distributed.Communicator = distributed.LOCAL,
+  ) -> None:
+    """Takes in a batch of observations [N, D] (Chan et al. 1979).
+
+    Args:
+      observations: of this rank; every rank has as many.
+      communicator: of the ranks that take in the batches of all of them.
+    """
+    added = observations.shape[0] * communicator.size
     total = self.count + added
     share = float(added / total)
     variance, mean = torch.var_mean(observations, dim=0, correction=0)
+    own_mean = mean.clone()
+    communicator.average([mean])
+    variance += (own_mean - mean) ** 2
+    communicator.average([variance])
     delta = mean - self.mean
     self.variance.lerp_(variance, share)
     self.variance.add_(delta**2 * (share * (1 - share)))

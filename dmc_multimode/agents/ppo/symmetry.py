@@ -47,9 +47,14 @@ class MirrorImage(Protocol):
 class Commands:
   """Tells which mode an observation commands, by its latent."""
 
-  def __init__(self, latents: np.ndarray, start: int = 2):
+  def __init__(
+    self,
+    latents: np.ndarray,
+    start: int = 2,
+    device: torch.device | str = 'cpu',
+  ):
     """Knows the modes' `latents`, [M, n_m], at `start` of observations."""
-    self._latents = torch.tensor(latents)
+    self._latents = torch.tensor(latents, device=device)
     self.part = slice(start, start + latents.shape[1])
 
   def modes(self, observations: torch.Tensor) -> torch.Tensor:
@@ -61,17 +66,25 @@ class Commands:
 class Mirror:
   """Mirrors batches of raw observations and of actions."""
 
-  def __init__(self, image: MirrorImage, latents: np.ndarray):
+  def __init__(
+    self,
+    image: MirrorImage,
+    latents: np.ndarray,
+    device: torch.device | str = 'cpu',
+  ):
     """Mirrors as `image` says, with the modes' `latents`, [M, n_m]."""
-    self._order = torch.from_numpy(image.observation_order)
-    self._signs = torch.from_numpy(image.observation_signs)
-    self._action_order = torch.from_numpy(image.action_order)
-    self._action_signs = torch.from_numpy(image.action_signs)
-    self._mirrored = torch.tensor(latents)[
-      torch.from_numpy(image.mirrored_modes)
+    on_device = lambda values: torch.from_numpy(values).to(device)
+    self._order = on_device(image.observation_order)
+    self._signs = on_device(image.observation_signs)
+    self._action_order = on_device(image.action_order)
+    self._action_signs = on_device(image.action_signs)
+    self._mirrored = torch.tensor(latents, device=device)[
+      on_device(image.mirrored_modes)
     ]
-    self._clock_signs = torch.from_numpy(image.clock_signs)
-    self._commands = [Commands(latents, start) for start in image.commands]
+    self._clock_signs = on_device(image.clock_signs)
+    self._commands = [
+      Commands(latents, start, device) for start in image.commands
+    ]
 
   def observations(self, observations: torch.Tensor) -> torch.Tensor:
     """Mirrors raw observations, [N, D]."""

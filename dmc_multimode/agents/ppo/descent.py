@@ -1,0 +1,79 @@
+"""Gradient descent on parameters that are learned together."""
+
+import math
+from typing import Mapping
+
+import torch
+from torch import nn
+
+from dmc_multimode.agents import distributed
+from dmc_multimode.agents.ppo import config as config_lib
+
+
+class Descent:
+  """Parameters, and the optimiser that moves them, alike at all ranks."""
+
+  def __init__(
+    self,
+    parameters: list[nn.Parameter],
+    config: config_lib.PPOConfig,
+    communicator: distributed.Communicator = distributed.LOCAL,
+  ):
+    """Creates the optimiser.
+
+    Args:
+      parameters: what is learned, on one device.
+      config: hyperparameters.
+      communicator: for the thread that calls `descend`, and for it alone.
+    """
+    self._parameters = parameters
+    self._max_norm = config.max_gradient_norm
+    self._communicator = communicator
+    self._optimiser = torch.optim.Adam(
+      parameters, lr=config.learning_rate, eps=1e-5, fused=True
+    )
+
+  def descend(self, loss: torch.Tensor) -> torch.Tensor:
+    """Takes one step along the gradient of the mean loss of all ranks.
+
+    Returns:
+      The norm of the gradient before clipping.
+
+    Raises:
+      FloatingPointError: it is not finite, of which all ranks learn.
+    """
+    self._optimiser.zero_grad(set_to_none=True)
+    loss.backward()
+    self._communicator.average(
+      [p.grad for p in self._parameters if p.grad is not None]
+    )
+    norm = nn.utils.clip_grad_norm_(self._parameters, self._max_norm)
+    if not math.isfinite(norm):
+      raise FloatingPointError(
+        'A gradient is not finite; the last checkpoint is unharmed: resume '
+        'from it, with a lower learning rate if it recurs.'
+      )
+    self._optimiser.step()
+    return norm
+
+  def set_learning_rate(self, value: float) -> None:
+    """Decides how far the next steps go."""
+    for group in self._optimiser.param_groups:
+      group['lr'] = value
+
+  def state(self) -> dict[str, torch.Tensor]:
+    """Returns the moments, `NUMBER/NAME`; empty before the first step."""
+    return {
+      f'{i}/{key}': value
+      for i, parameter in enumerate(self._parameters)
+      for key, value in self._optimiser.state.get(parameter, {}).items()
+    }
+
+  def restore(self, state: Mapping[str, torch.Tensor]) -> None:
+    """Takes over a `state`."""
+    self._optimiser.state.clear()
+    for name, value in state.items():
+      number, _, key = name.partition('/')
+      parameter = self._parameters[int(number)]
+      moments = self._optimiser.state[parameter]
+      moments[key] = value.to(parameter.device, copy=True)

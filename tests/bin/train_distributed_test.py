@@ -1,0 +1,271 @@
+"""Tests of dmc_multimode.bin.train under torchrun."""
+
+import os
+import pathlib
+import signal
+import subprocess
+import sys
+import time
+from typing import Any, Callable, Sequence
+
+import pytest
+import torch
+
+from dmc_multimode import pretrained
+from dmc_multimode.agents import checkpointing
+from dmc_multimode.bin import run_setup
+from dmc_multimode.bin import train as train_lib
+
+_ROOT = pathlib.Path(__file__).parents[2]
+_TIMEOUT = 300  # Seconds.
+_ITERATION = 8 * 4  # Control steps.
+_TINY = (
+  '--num_worlds=8',
+  '--ppo_rollout_length=4',
+  '--ppo_hidden_sizes=16',
+  '--modes=idle,walk_forward',
+  '--one_hot',
+)
+_STEPS = 12 * _ITERATION
+# Runs the binary; every rank notes its network at the end. With a folder named
+# STALL_IN, ranks wait after the eighth iteration until they are ended, once.
+_RANK = """
+import functools, os, pathlib, sys, time
+from dmc_multimode.agents import checkpointing
+from dmc_multimode.bin import train
+stall = pathlib.Path(os.environ.get('STALL_IN', '/nowhere'))
+rank = os.environ.get('RANK', '0')
+loop = train.training.TrainingLoop
+if stall.is_dir():
+  train.training.TrainingConfig = functools.partial(
+    train.training.TrainingConfig, checkpoint_seconds=1e-9
+  )
+  collect = loop._collect
+  def _collect(self):
+    collect(self)
+    mark = stall / rank
+    if self.iterations == 8 and not mark.exists():
+      mark.with_suffix('.new').write_text(str(os.getpid()))
+      mark.with_suffix('.new').rename(mark)
+      while rank == '0':
+        time.sleep(0.01)
+  loop._collect = _collect
+run = loop.run
+def _run(self, *args):
+  run(self, *args)
+  weights = self._learner.network.state_dict()
+  checkpointing.save_tensors(
+    pathlib.Path(os.environ['NOTES']) / f'network{rank}', weights, {}
+  )
+loop.run = _run
+train.cli()
+"""
+
+
+class Launch:
+  """A training, and what its ranks have noted."""
+
+  def __init__(self, folder: pathlib.Path):
+    """Notes go into `folder`, the run into `folder/run`."""
+    folder.mkdir()
+    self.folder, self.run = folder, folder / 'run'
+    self._script = folder / 'rank.py'
+    self._script.write_text(_RANK)
+
+  def start(
+    self, *flags: str, launcher: Sequence[str] = (), **environment: str
+  ) -> subprocess.Popen[str]:
+    """Starts it, under a launcher or alone."""
+    return subprocess.Popen(
+      [
+        sys.executable,
+        *launcher,
+        str(self._script),
+        f'--run_dir={self.run}',
+        *_TINY,
+        *flags,
+      ],
+      stdout=subprocess.PIPE,
+      stderr=subprocess.PIPE,
+      text=True,
+      cwd=_ROOT,
+      env={
+        **os.environ,
+        'PYTHONPATH': str(_ROOT),
+        'NOTES': str(self.folder),
+        # Restarts hang without in torch 2.13: see docs/SCALING.md.
+        'TORCH_DISABLE_SHARE_RDZV_TCP_STORE': '1',
+        **environment,
+      },
+    )
+
+  def network(self, rank: int) -> dict[str, torch.Tensor]:
+    """Returns what a rank has learned."""
+    return checkpointing.load_tensors(self.folder / f'network{rank}')[0]
+
+
+def _torchrun(ranks: int, *flags: str) -> tuple[str, ...]:
+  return (
+    '-m',
+    'torch.distributed.run',
+    '--standalone',
+    f'--nproc_per_node={ranks}',
+    *flags,
+  )
+
+
+def _finish(process: subprocess.Popen[str]) -> tuple[str, str]:
+  """Returns stdout and stderr."""
+  try:
+    stdout, stderr = process.communicate(timeout=_TIMEOUT)
+  finally:
+    process.kill()
+  assert process.returncode == 0, stderr
+  return stdout, stderr
+
+
+def _assert_equal(one: dict[str, Any], other: dict[str, Any]) -> None:
+  assert one.keys() == other.keys()
+  for key, value in one.items():
+    assert torch.equal(value, other[key]), key
+
+
+def _wait_for(condition: Callable[[], Any]) -> None:
+  deadline = time.monotonic() + _TIMEOUT
+  while not condition():
+    assert time.monotonic() < deadline
+    time.sleep(0.01)
+
+
+@pytest.fixture(scope='module')
+def two(tmp_path_factory: pytest.TempPathFactory) -> Launch:
+  """A run of two ranks that nothing has interrupted."""
+  launch = Launch(tmp_path_factory.mktemp('two') / 'launch')
+  stdout, stderr = _finish(
+    launch.start('--threads=2', f'--steps={_STEPS}', launcher=_torchrun(2))
+  )
+  # Rank 0 alone has a say.
+  (line,) = stdout.splitlines()
+  assert line == f'{_STEPS} steps; the policy is in {launch.run / "policy"}'
+  assert stderr.count('0.00/384') == 1
+  assert 'error' not in stderr and 'Traceback' not in stderr
+  return launch
+
+
+def test_one_rank_is_what_no_torchrun_is(tmp_path: pathlib.Path) -> None:
+  launches = [Launch(tmp_path / name) for name in ('plain', 'torchrun')]
+  processes = [
+    launch.start('--threads=1', f'--steps={_STEPS}', launcher=launcher)
+    for launch, launcher in zip(launches, ((), _torchrun(1)), strict=True)
+  ]
+  for process in processes:
+    _finish(process)
+  plain, under = (
+    checkpointing.load_tensors(launch.run / checkpointing.NAME)
+    for launch in launches
+  )
+  _assert_equal(plain[0], under[0])
+  assert plain[1] == under[1]
+
+
+def test_two_ranks_hold_one_network(two: Launch) -> None:
+  _assert_equal(two.network(0), two.network(1))
+  tensors, values = checkpointing.load_tensors(two.run / checkpointing.NAME)
+  assert values['ranks'] == 2 and values['steps'] == _STEPS
+  network = {
+    key.removeprefix('learner/network/'): value
+    for key, value in tensors.items()
+    if key.startswith('learner/network/')
+  }
+  _assert_equal(network, two.network(0))
+  worlds = [tensors[f'{p}environment/physics'] for p in ('', 'rank1/')]
+  assert len(worlds[0]) == len(worlds[1]) == 4
+  assert not torch.equal(*worlds)
+  config, _, _ = run_setup.load_run(two.run)
+  assert config.num_worlds == 8
+  assert pretrained.load(two.run).provenance['steps'] == _STEPS
+
+
+def test_killed_rank_begins_again_and_ends_the_same(
+  two: Launch, tmp_path: pathlib.Path
+) -> None:
+  launch = Launch(tmp_path / 'killed')
+  marks = tmp_path / 'marks'
+  marks.mkdir()
+  process = launch.start(
+    '--threads=2',
+    f'--steps={_STEPS}',
+    launcher=_torchrun(2, '--max-restarts=3'),
+    STALL_IN=str(marks),
+  )
+  try:
+    _wait_for(lambda: (marks / '0').exists() and (marks / '1').exists())
+    os.kill(int((marks / '1').read_text()), signal.SIGKILL)
+    stdout, _ = _finish(process)
+  finally:
+    process.kill()
+  assert f'Resuming at {7 * _ITERATION} steps.' in stdout
+  for rank in range(2):
+    _assert_equal(launch.network(rank), two.network(0))
+  found, expected = (
+    checkpointing.load_tensors(one.run / checkpointing.NAME)[0]
+    for one in (launch, two)
+  )
+  _assert_equal(found, expected)
+
+
+def test_both_stop_when_one_is_asked(tmp_path: pathlib.Path) -> None:
+  """A signal to rank 1 alone; torchrun never hears of it."""
+  launch = Launch(tmp_path / 'stopped')
+  process = launch.start(
+    '--threads=2', '--steps=10000000', launcher=_torchrun(2)
+  )
+  try:
+    _wait_for((launch.run / 'metrics.csv').exists)
+    _wait_for((launch.run / 'metrics.csv').read_text)
+    children = pathlib.Path(
+      f'/proc/{process.pid}/task/{process.pid}/children'
+    ).read_text()
+    os.kill(int(children.split()[-1]), signal.SIGTERM)
+    stdout, stderr = _finish(process)
+  finally:
+    process.kill()
+  assert 'the policy is in' in stdout and 'Traceback' not in stderr
+  _assert_equal(launch.network(0), launch.network(1))
+
+
+# What is said to be wrong, and what counts as a restart.
+
+
+def test_worlds_that_cannot_be_shared() -> None:
+  config = run_setup.RunConfig(num_worlds=9)
+  run_setup.check_ranks(config, 3)
+  with pytest.raises(ValueError, match='num_worlds 9 .* 2 of them'):
+    run_setup.check_ranks(config, 2)
+
+
+@pytest.mark.parametrize(
+  ('began', 'now', 'restart'),
+  [
+    (None, 'job', False),
+    ('job', 'job', True),
+    ('other', 'job', False),
+    ('', '', False),
+    ('none', 'none', True),
+  ],
+)
+def test_restarts(
+  monkeypatch: pytest.MonkeyPatch,
+  tmp_path: pathlib.Path,
+  began: str | None,
+  now: str,
+  restart: bool,
+) -> None:
+  """A run of the same launch goes on; another launch must be asked to."""
+  if began is not None:
+    monkeypatch.setenv('TORCHELASTIC_RUN_ID', began)
+    (tmp_path / train_lib.LAUNCH_FILE).write_text(train_lib._launch())
+  monkeypatch.setenv('TORCHELASTIC_RUN_ID', now)
+  assert not train_lib._is_restart(tmp_path)  # There is no run yet.
+  (tmp_path / run_setup.CONFIG_FILE).touch()
+  assert train_lib._is_restart(tmp_path) == restart
