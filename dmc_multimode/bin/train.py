@@ -13,22 +13,20 @@ in its share of the worlds: see docs/SCALING.md.
 
 import functools
 import json
-import os
 import pathlib
 import signal
-import socket
 from typing import Any, Mapping, NamedTuple, Sequence
 
 from absl import flags
 import torch
 
-from dmc_multimode import atomic
 from dmc_multimode.agents import checkpointing
 from dmc_multimode.agents import distributed
 from dmc_multimode.agents import loggers
 from dmc_multimode.agents import training
 from dmc_multimode.bin import app
 from dmc_multimode.bin import config_flags
+from dmc_multimode.bin import launches
 from dmc_multimode.bin import ranks
 from dmc_multimode.bin import run_setup
 from dmc_multimode.modes import codebook as codebook_lib
@@ -81,9 +79,6 @@ _KEEP_EVERY = flags.DEFINE_integer(
 )
 for _part in ('ppo', 'sampling', 'task'):
   config_flags.define(getattr(_DEFAULTS, _part), _part)
-
-# Beside a run: which launch of `torchrun` has begun it.
-LAUNCH_FILE = 'launch'
 
 
 def _config_from_flags() -> run_setup.RunConfig:
@@ -161,24 +156,6 @@ def _continue(directory: pathlib.Path, size: int) -> run_setup.Ingredients:
   return config, motions, codebook
 
 
-def _launch() -> str:
-  """Names this launch of `torchrun`, all restarts included; '' without one."""
-  name = os.environ.get('TORCHELASTIC_RUN_ID', '')
-  # What torchrun calls a launch that was given no name.
-  return f'{socket.gethostname()}:{os.getppid()}' if name == 'none' else name
-
-
-def _is_restart(directory: pathlib.Path) -> bool:
-  """Whether this launch has begun the run there, in processes that died."""
-  launch = directory / LAUNCH_FILE
-  return (
-    bool(_launch())
-    and (directory / run_setup.CONFIG_FILE).is_file()
-    and launch.is_file()
-    and launch.read_text(encoding='utf-8') == _launch()
-  )
-
-
 class _Opened(NamedTuple):
   """A run that begins or goes on; its checkpoint is known to rank 0 alone."""
 
@@ -196,7 +173,7 @@ def _open(
   opened = []
 
   def at_first() -> str:
-    is_new = not (_RESUME.value or _is_restart(directory))
+    is_new = not (_RESUME.value or launches.is_restart(directory))
     prepare = _begin if is_new else _continue
     ingredients = prepare(directory, communicator.size)
     tensors: Mapping[str, torch.Tensor] = {}
@@ -253,8 +230,7 @@ def _build(
   opened = _open(directory, communicator)
   run = run_setup.build(*opened.ingredients, communicator, device)
   if opened.is_new:
-    if _launch():
-      atomic.write(directory / LAUNCH_FILE, _launch().encode())
+    launches.note(directory)
     run_setup.save_run(directory, *opened.ingredients)
   if opened.has_checkpoint:
     run.loop.restore(opened.tensors, opened.values)

@@ -13,8 +13,8 @@ import torch
 
 from dmc_multimode import pretrained
 from dmc_multimode.agents import checkpointing
+from dmc_multimode.bin import launches
 from dmc_multimode.bin import run_setup
-from dmc_multimode.bin import train as train_lib
 
 _ROOT = pathlib.Path(__file__).parents[2]
 _TIMEOUT = 300  # Seconds.
@@ -264,8 +264,8 @@ def test_restarts(
   """A run of the same launch goes on; another launch must be asked to."""
   if began is not None:
     monkeypatch.setenv('TORCHELASTIC_RUN_ID', began)
-    (tmp_path / train_lib.LAUNCH_FILE).write_text(train_lib._launch())
+    launches.note(tmp_path)
   monkeypatch.setenv('TORCHELASTIC_RUN_ID', now)
-  assert not train_lib._is_restart(tmp_path)  # There is no run yet.
+  assert not launches.is_restart(tmp_path)  # There is no run yet.
   (tmp_path / run_setup.CONFIG_FILE).touch()
-  assert train_lib._is_restart(tmp_path) == restart
+  assert launches.is_restart(tmp_path) == restart
