@@ -36,13 +36,18 @@ class ShippedTest(parameterized.TestCase):
     )
     worlds = batched.BatchedImitation(task, len(modes), 1, auto_reset=False)
     found = evaluation.run_episodes(worlds, policy.select_action)
+    self.assertGreater(
+      found.returns.mean(), policy.metrics['mra_modes']['mean'] - _MARGIN
+    )
     for i, motion in enumerate(policy.motions):
       mine, reported = modes == i, policy.metrics['modes'][motion.name]
+      # One fall in so few episodes costs more than the margin.
+      if reported['survival'] < 1.0:
+        continue
+      self.assertTrue(found.survived[mine].all(), motion.name)
       self.assertGreater(
         found.returns[mine].mean(), reported['mra'] - _MARGIN, motion.name
       )
-      if reported['survival'] == 1.0:
-        self.assertTrue(found.survived[mine].all(), motion.name)
 
   def test_pi2_was_measured_to_keep_its_promises(self) -> None:
     metrics = pretrained.load('pi2').metrics

@@ -293,7 +293,7 @@ def test_action(action: Any) -> None:
 
 
 def test_no_policy() -> None:
-  with pytest.raises(FileNotFoundError, match="'pi9'.*pi2, quickstart"):
+  with pytest.raises(FileNotFoundError, match="'pi9'.*pi2.*quickstart"):
     _load('gap', policy='pi9')
   with pytest.raises(TypeError, match='has no codebook, config, select_action'):
     _load('gap', policy=types.SimpleNamespace(motions=_Puppet.motions))
