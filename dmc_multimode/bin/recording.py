@@ -9,6 +9,7 @@ import tqdm
 
 from dmc_multimode import pretrained
 from dmc_multimode.bin import overlay
+from dmc_multimode.bin import robot as robot_lib
 from dmc_multimode.bin import rollout as rollout_lib
 from dmc_multimode.bin import scene
 from dmc_multimode.bin import video
@@ -76,7 +77,7 @@ def record(
   )
   rate = 1 / (rollout.task.control_timestep * config.slow_motion)
   bar = tqdm.tqdm(rollout.steps(), 'recording', rollout.num_steps, unit='frame')
-  steps: list[rollout_lib.Step] = []
+  steps: list[robot_lib.Step] = []
   captions = Captions(rollout)
   with bar, video.VideoWriter(out, config.width, config.height, rate) as file:
     for step in bar:
@@ -99,7 +100,7 @@ class Captions:
     )
     self._warning = ''
 
-  def draw(self, frame: np.ndarray, step: rollout_lib.Step) -> np.ndarray:
+  def draw(self, frame: np.ndarray, step: robot_lib.Step) -> np.ndarray:
     """Returns the frame of a step with its caption, uint8 [H, W, 3]."""
     if step.cause != 'none' and not self._warning:
       self._warning = f'failed at {step.time:.2f} s: {step.cause}'

@@ -1,15 +1,13 @@
 """One policy following one schedule in the Composer task, step by step."""
 
-import collections
 import dataclasses
 from typing import Any, Iterator, Mapping, NamedTuple, Sequence
 
-from dm_control import composer
-import dm_env
 import numpy as np
 
 from dmc_multimode import pretrained
 from dmc_multimode.arenas import track
+from dmc_multimode.bin import robot as robot_lib
 from dmc_multimode.modes import reference
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.planner import pushes as pushes_lib
@@ -17,8 +15,6 @@ from dmc_multimode.suite import config as config_lib
 from dmc_multimode.suite import episodes
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite import terminations
-
-_SPEED_WINDOW = 0.3  # Seconds over which the shown speed is a mean.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,32 +45,6 @@ class RolloutConfig:
   imitation: bool = True
   physics_timestep: float | None = None
   terminate: bool = False
-
-
-class Step(NamedTuple):
-  """What a control step led to.
-
-  Attributes:
-    command: index into the schedule of the command that was in force.
-    time: seconds since the start.
-    mode: name of the mode that runs from here on.
-    position: of the trunk in the world, metres, [3].
-    height: of the trunk over the support plane under it, metres.
-    rise: of the trunk over the support plane at the mode's start, metres.
-    speed: horizontal, mean over the last 0.3 s, m/s.
-    reward: in [0, 1].
-    cause: why an episode would end here; 'none' where it would not.
-  """
-
-  command: int
-  time: float
-  mode: str
-  position: np.ndarray
-  height: float
-  rise: float
-  speed: float
-  reward: float
-  cause: str
 
 
 class Outcome(NamedTuple):
@@ -124,10 +94,7 @@ class Rollout:
     task_config = _task_config(policy.config, config)
     if not task_config.horizon:
       raise ValueError('The schedule is shorter than one control step.')
-    self._policy, self._config = policy, config
-    self._limits = policy.config.limits
-    if not config.imitation:
-      self._limits = terminations.falls_alone(self._limits)
+    self._config = config
     self.task = multimode_biped.make_task(
       policy.motions,
       codebook=policy.codebook,
@@ -135,6 +102,10 @@ class Rollout:
       arena=_make_arena(config),
       config=task_config,
     )
+    limits = policy.config.limits
+    if not config.imitation:
+      limits = terminations.falls_alone(limits)
+    self._robot = robot_lib.Robot(policy, self.task, limits, config.seed)
 
   @property
   def num_steps(self) -> int:
@@ -154,90 +125,37 @@ class Rollout:
 
   def start(self) -> Any:
     """Compiles the model and resets it; returns the physics."""
-    self._environment = composer.Environment(
-      self.task,
-      random_state=self._config.seed,
-      recompile_mjcf_every_episode=False,
-      raise_exception_on_physics_error=False,
-    )
-    self._first = self._environment.reset()
-    return self._environment.physics
+    return self._robot.start()
 
-  def steps(self) -> Iterator[Step]:
+  def steps(self) -> Iterator[robot_lib.Step]:
     """Runs the schedule, after `start`.
 
     A robot that has lost its reference or fallen goes on, unless the
     configuration says `terminate`; a state that is not finite ends it.
     """
-    timestep, state = self._first, self.task.core.tracker.state
-    window = max(1, round(_SPEED_WINDOW / self.task.config.control_timestep))
-    path = collections.deque([self._position()], window + 1)
     for step in range(self.num_steps):
-      timestep = self._pushed(timestep, step)
-      command, floor = int(state.knot[0]), float(state.anchor[0, 2])
-      action = self._policy.actor.select_action(timestep.observation)
-      timestep = self._environment.step(action)
-      if not np.isfinite(self._position()).all():
+      self._push(step)
+      made = self._robot.step()
+      if made.cause == terminations.CAUSES[terminations.INVALID]:
         return
-      path.append(self._position())
-      yield self._step(command, floor, path)
-      if timestep.last():
+      yield made
+      if self._robot.over:
         return
 
-  def _pushed(self, timestep: dm_env.TimeStep, step: int) -> dm_env.TimeStep:
-    """Carries out the pushes that are due; returns what is seen after them."""
+  def _push(self, step: int) -> None:
+    """Carries out the pushes that are due."""
     period = self.task.config.control_timestep
-    physics = self._environment.physics
     velocities = [
       push.velocity
       for push in self._config.pushes
       if round(push.time / period) == step
     ]
-    if not velocities:
-      return timestep
-    physics.data.qvel[:3] += np.sum(velocities, axis=0)
-    physics.forward()
-    parts = self.task.core.observe(
-      physics.data.qpos[None], physics.data.qvel[None]
-    )
-    seen = {name: parts[name][0] for name in timestep.observation}
-    return timestep._replace(observation=seen)
-
-  def _position(self) -> np.ndarray:
-    return self._environment.physics.data.qpos[:3].copy()
-
-  def _step(
-    self, command: int, floor: float, path: Sequence[np.ndarray]
-  ) -> Step:
-    """Judges the step that has just been made."""
-    task, outcome = self.task, self.task.outcome
-    assert outcome is not None
-    elapsed = (len(path) - 1) * task.config.control_timestep
-    position = path[-1]
-    height = position[2] - task.core.support(position[:1])
-    cause = terminations.termination_cause(
-      outcome.errors.position,
-      outcome.errors.orientation,
-      outcome.reward,
-      height,
-      np.array([True]),
-      self._limits,
-    )
-    return Step(
-      command=command,
-      time=int(task.core.tracker.state.step[0]) * task.config.control_timestep,
-      mode=task.mode,
-      position=position,
-      height=float(height[0]),
-      rise=float(position[2] - floor),
-      speed=float(np.linalg.norm((position - path[0])[:2]) / elapsed),
-      reward=float(outcome.reward[0]),
-      cause=terminations.CAUSES[cause[0]],
-    )
+    if velocities:
+      self._robot.push(np.sum(velocities, axis=0))
 
 
 def outcomes(
-  config: RolloutConfig, start: np.ndarray, steps: Sequence[Step]
+  config: RolloutConfig, start: np.ndarray, steps: Sequence[robot_lib.Step]
 ) -> list[Outcome]:
   """Returns how every command went.
 

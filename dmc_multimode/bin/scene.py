@@ -36,15 +36,42 @@ _AIM_HEIGHT = 0.45  # Of the point looked at over the support plane, metres.
 # The share of the way to its target that the view makes in a second is
 # 1 - exp(-1 / lag): stairs and leaps must not shake it.
 _LAG = np.array([0.12, 0.4, 0.5])  # Seconds.
+_JUMP = 1.5  # Metres to a target that is not followed but jumped to.
 
-_GHOST = (0.15, 0.55, 0.95, 0.32)
-_TOP, _WALL = (0.74, 0.77, 0.80, 1.0), (0.40, 0.47, 0.56, 1.0)
+GHOST = (0.15, 0.55, 0.95, 0.32)
+TOP, _WALL = (0.74, 0.77, 0.80, 1.0), (0.40, 0.47, 0.56, 1.0)
 _BAND, _EDGE = (0.66, 0.695, 0.735, 1.0), (0.95, 0.60, 0.15, 1.0)
 _BAND_WIDTH = 0.25  # Metres; bands lie twice as far apart.
 _REACH = 10.0  # Metres before and behind the robot that have bands.
 _LIFT = 0.002  # Metres: bands and edges lie this much over the ground.
 _EDGE_WIDTH = 0.025  # Metres.
 _EXTRA_GEOMS = 400
+
+
+class Aim:
+  """The point that a view looks at: it lags behind the robot."""
+
+  def __init__(self) -> None:
+    """Begins wherever the robot is when it is first followed."""
+    self._point: np.ndarray | None = None
+
+  def follow(
+    self, task: imitation.Imitation, position: np.ndarray, ahead: float
+  ) -> np.ndarray:
+    """Moves on by one control step; returns the point, world metres, [3].
+
+    Args:
+      task: that the robot is in.
+      position: of the trunk, world metres, [3].
+      ahead: of the trunk is the point, metres along x.
+    """
+    support = task.core.support(position[:1])[0]
+    target = np.array([position[0] + ahead, position[1], support + _AIM_HEIGHT])
+    if self._point is None or np.linalg.norm(target - self._point) > _JUMP:
+      self._point = target
+    share = 1 - np.exp(-task.control_timestep / _LAG)
+    self._point = self._point + share * (target - self._point)
+    return self._point
 
 
 class Camera:
@@ -76,7 +103,7 @@ class Camera:
     trunk = physics.bind(task.walker.mjcf_model.find('geom', 'trunk'))
     self._trunk_size = np.array(trunk.size)
     self._view = VIEWS.get(name)
-    self._aim: np.ndarray | None = None
+    self._aim = Aim()
     camera = -1 if self._view else _find(physics, name)
     self._camera = engine.Camera(
       physics,
@@ -94,17 +121,9 @@ class Camera:
     return self._camera.render().copy()
 
   def _follow(self, view: View) -> None:
-    position = self._physics.data.qpos[:3].copy()
-    support = self._task.core.support(position[:1])[0]
-    target = np.array(
-      [position[0] + view.ahead, position[1], support + _AIM_HEIGHT]
-    )
-    if self._aim is None:
-      self._aim = target
-    share = 1 - np.exp(-self._task.control_timestep / _LAG)
-    self._aim = self._aim + share * (target - self._aim)
     pose = self._camera._render_camera
-    pose.lookat[:] = self._aim
+    position = self._physics.data.qpos[:3].copy()
+    pose.lookat[:] = self._aim.follow(self._task, position, view.ahead)
     pose.azimuth, pose.elevation = view.azimuth, view.elevation
     pose.distance = view.distance
 
@@ -115,12 +134,12 @@ class Camera:
         geom.objid in self._segments
       )
       if is_segment:  # The grid of the boxes' texture moves with them.
-        geom.matid, geom.rgba[:] = -1, _TOP
+        geom.matid, geom.rgba[:] = -1, TOP
     x = float(physics.data.qpos[0])
-    boxes = list(_ground_marks(self._task.root_entity.terrain, x))
+    boxes = list(ground_marks(self._task.root_entity.terrain, x))
     if self._ghost:
-      position, rotation = _reference_pose(self._task, x)
-      boxes.append(_Box(position, self._trunk_size, _GHOST, rotation))
+      position, rotation = reference_pose(self._task, x)
+      boxes.append(Box(position, self._trunk_size, GHOST, rotation))
     _add_boxes(scene, boxes)
 
 
@@ -143,7 +162,7 @@ def _find(physics: Any, name: str) -> int:
   raise ValueError(f'Unknown camera {name!r}; cameras are {known}.')
 
 
-def _reference_pose(
+def reference_pose(
   task: imitation.Imitation, x: float
 ) -> tuple[np.ndarray, np.ndarray]:
   """Position and rotation matrix of the reference, the trunk being at x."""
@@ -155,7 +174,7 @@ def _reference_pose(
   return wanted.position[0], (heading * local).as_matrix()
 
 
-class _Box(NamedTuple):
+class Box(NamedTuple):
   """Something to draw: centre and half-sizes in metres, RGBA, rotation.
 
   A plane costs less than a flat box, and casts no shadow.
@@ -168,7 +187,7 @@ class _Box(NamedTuple):
   shape: mujoco.mjtGeom = mujoco.mjtGeom.mjGEOM_BOX
 
 
-def _ground_marks(terrain: terrain_lib.Terrain, x: float) -> Iterator[_Box]:
+def ground_marks(terrain: terrain_lib.Terrain, x: float) -> Iterator[Box]:
   """Walls, edges and bands of a terrain, those near `x` alone."""
   deep = terrain_lib.BOX_THICKNESS / 2
   wide = terrain_lib.HALF_WIDTH
@@ -177,10 +196,10 @@ def _ground_marks(terrain: terrain_lib.Terrain, x: float) -> Iterator[_Box]:
       continue
     for edge, inside in ((start, 0.5), (end, -0.5)):
       wall = np.array([edge, 0, top - deep])
-      yield _Box(wall, np.array([_LIFT, wide, deep]), _WALL)
+      yield Box(wall, np.array([_LIFT, wide, deep]), _WALL)
       strip = np.array([edge + inside * _EDGE_WIDTH, 0, top])
       halves = np.array([_EDGE_WIDTH / 2, wide, 2 * _LIFT])
-      yield _Box(strip, halves, _EDGE)
+      yield Box(strip, halves, _EDGE)
     lefts = (
       2
       * _BAND_WIDTH
@@ -195,10 +214,10 @@ def _ground_marks(terrain: terrain_lib.Terrain, x: float) -> Iterator[_Box]:
       if right > left:
         centre = np.array([(left + right) / 2, 0, top + _LIFT])
         halves = np.array([(right - left) / 2, wide, 1.0])
-        yield _Box(centre, halves, _BAND, shape=mujoco.mjtGeom.mjGEOM_PLANE)
+        yield Box(centre, halves, _BAND, shape=mujoco.mjtGeom.mjGEOM_PLANE)
 
 
-def _add_boxes(scene: Any, boxes: Sequence[_Box]) -> None:
+def _add_boxes(scene: Any, boxes: Sequence[Box]) -> None:
   """Adds boxes to a scene, as many as there is room for."""
   first = scene.ngeom
   scene.ngeom = min(first + len(boxes), scene.maxgeom)

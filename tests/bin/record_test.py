@@ -18,6 +18,7 @@ import pytest
 from dmc_multimode import pretrained
 from dmc_multimode.arenas import track
 from dmc_multimode.bin import recording
+from dmc_multimode.bin import robot
 from dmc_multimode.bin import rollout
 from dmc_multimode.bin import video
 from dmc_multimode.planner import plan as plan_lib
@@ -202,7 +203,7 @@ def test_pushes_are_written_into_the_frames() -> None:
     ),
   )
   captions, frame = recording.Captions(roll), np.zeros((240, 320, 3), np.uint8)
-  step = rollout.Step(0, 0.0, 'idle', np.zeros(3), 0.5, 0.5, 0.0, 1.0, 'none')
+  step = robot.Step(0, 0.0, 'idle', np.zeros(3), 0.5, 0.5, 0.0, 1.0, 'none')
   texts = {
     time: captions.draw(frame, step._replace(time=time))[:220]
     for time in (0.29, 0.33, 0.89, 0.95)

@@ -1,0 +1,140 @@
+"""Tests of dmc_multimode.bin.view: its flags, and its page in a browser.
+
+The page is clicked on in a headless Chromium, which draws in software. Set
+VIEW_SCREENSHOT to a file to keep what it shows in the end.
+"""
+
+import importlib.util
+import os
+import pathlib
+import re
+import shutil
+import signal
+import socket
+import time
+from typing import Any, Iterator
+
+import pytest
+
+from tests.bin import processes
+
+_PATIENCE = 120.0  # Seconds for a page, drawn in software on a busy machine.
+_PAGE = {'width': 480, 'height': 700}  # Pixels; few of them are drawn on.
+# Chromium draws in software, and as root it has no sandbox.
+_CHROMIUM = ['--no-sandbox', '--enable-unsafe-swiftshader']
+_CHROMIUM += ['--use-angle=swiftshader']
+
+
+@pytest.fixture(scope='module')
+def view(
+  tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[processes.Binary]:
+  binary = processes.Binary('view', tmp_path_factory.mktemp('output'))
+  yield binary
+  binary.close()
+
+
+@pytest.fixture
+def page() -> Iterator[Any]:
+  """An empty page of a headless browser."""
+  for module in ('viser', 'mjviser'):
+    if not importlib.util.find_spec(module):
+      pytest.skip(f'no {module}: the page takes the extra `view`')
+  api = pytest.importorskip(
+    'playwright.sync_api', reason='no playwright: it is in the extra `browser`'
+  )
+  with api.sync_playwright() as playwright:
+    own = pathlib.Path(playwright.chromium.executable_path)
+    path = own if own.exists() else shutil.which('chromium')
+    if not path:
+      pytest.skip(
+        'no Chromium: apt-get install chromium, or playwright install chromium'
+      )
+    browser = playwright.chromium.launch(executable_path=path, args=_CHROMIUM)
+    page = browser.new_page(viewport=_PAGE)
+    page.set_default_timeout(1000 * _PATIENCE)
+    yield page
+    browser.close()
+
+
+def _url(folder: pathlib.Path) -> str:
+  """Waits for the URL that the binary prints."""
+  begun = time.monotonic()
+  while time.monotonic() - begun < _PATIENCE:
+    out = folder / 'stdout'
+    if out.exists() and out.read_text().endswith('\n'):
+      return out.read_text().strip()
+    time.sleep(0.1)
+  raise AssertionError((folder / 'stderr').read_text())
+
+
+def test_a_click_on_launch_lands_on_the_block(
+  page: Any, tmp_path: pathlib.Path
+) -> None:
+  view = processes.Binary('view', tmp_path)
+  process = view.start('--policy=pi2', '--arena=flat', '--port=0')
+  try:
+    url = _url(tmp_path)
+    assert re.fullmatch(r'http://127\.0\.0\.1:\d+', url)
+    page.goto(url)
+    page.get_by_text(re.compile(r'trunk z 0\.(4[5-9]|5[0-5]) m')).wait_for()
+    page.get_by_role('button', name='4 launch').click()
+    page.get_by_text(re.compile(r'trunk z 0\.(8[5-9]|9[0-5]) m')).wait_for()
+    assert page.locator('b', has_text='launch').count() == 1
+    page.keyboard.press('r')
+    page.get_by_text(re.compile(r'trunk z 0\.(4[5-9]|5[0-5]) m')).wait_for()
+    page.locator('b', has_text='idle').wait_for()
+    if os.environ.get('VIEW_SCREENSHOT'):
+      page.screenshot(path=os.environ['VIEW_SCREENSHOT'])
+  finally:
+    processes.send(process, signal.SIGINT)
+    done = view.wait()
+    view.close()
+  assert (done.code, done.stderr) == (0, '')
+
+
+def test_a_port_in_use(view: processes.Binary) -> None:
+  with socket.create_server(('127.0.0.1', 0)) as server:
+    done = view(f'--port={server.getsockname()[1]}')
+  assert done.code == 2
+  assert 'in use' in done.error
+
+
+@pytest.mark.parametrize(
+  ('flags', 'message'),
+  [
+    (['--policy={tmp}/none'], 'no pretrained named'),
+    (['--arena=moat'], "Unknown arena 'moat'"),
+    (['--seed=-1'], 'seed must not be negative'),
+    (['--port=65536'], 'not within 0 and 65535'),
+    (['--host=192.0.2.1'], 'is no address of this machine'),
+    (['--host=no such host'], 'is no address of this machine'),
+  ],
+)
+def test_bad_input(
+  view: processes.Binary,
+  tmp_path: pathlib.Path,
+  flags: list[str],
+  message: str,
+) -> None:
+  given = [flag.format(tmp=tmp_path) for flag in flags]
+  done = view('--port=0', *given)
+  assert done.code == 2, done.stderr
+  assert message in done.error
+
+
+def test_a_window_takes_a_display(view: processes.Binary) -> None:
+  before = 'import os; [os.environ.pop(name, None) for name in '
+  before += "('DISPLAY', 'WAYLAND_DISPLAY')]"
+  view.start('--viewer=native', before=before)
+  done = view.wait()
+  assert done.code == 2
+  assert 'no display' in done.error
+
+
+def test_a_missing_extra_is_named(view: processes.Binary) -> None:
+  before = "import sys; sys.modules['viser'] = None"
+  view.start('--port=0', before=before)
+  done = view.wait()
+  assert done.code == 2
+  assert 'dmc_multimode[view]' in done.error
