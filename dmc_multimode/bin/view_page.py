@@ -82,7 +82,8 @@ class Page:
       return
     self._steps += 1
     now_and_then = not self._steps % _EVERY
-    if now_and_then or not late:
+    # A search has the interpreter for itself in the meantime.
+    if now_and_then or not (late or state.searching):
       self._scene.show(self._session.robot)
     step = state.step
     mode = self._session.modes.index(step.mode) + 1
@@ -239,7 +240,7 @@ class Page:
     elif state.plan:
       lines += [_describe(state.plan.plan)]
     self._status.content = (
-      '<div style="padding: 0 1em; font-size: 0.9em; min-height: 5.5em">'
+      '<div style="padding: 0 1em 0.5em; font-size: 0.9em; min-height: 5.5em">'
       + '<br>'.join(lines)
       + '</div>'
     )

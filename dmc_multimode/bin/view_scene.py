@@ -19,7 +19,7 @@ from dmc_multimode.bin import scene
 
 _VIEW = scene.VIEWS['side']
 _DISTANCE, _NEAR = 3.0, 0.1  # Metres from the camera to the robot, and least.
-_ENVIRONMENT = 0.3  # Of the light from all around.
+_ENVIRONMENT = 0.2  # Of the light from all around.
 _FIELD_OF_VIEW = np.radians(45.0)
 _FLAT = 1e-4  # Half-height of what is drawn as a plane, metres.
 _SHADOW_RADIUS, _SHADOW_LIFT = 0.16, 0.006  # Metres.
@@ -37,7 +37,7 @@ _SIDES = np.array(  # Counter-clockwise from outside.
 )
 _FACES = np.concatenate([_SIDES[:, [0, 1, 2]], _SIDES[:, [0, 2, 3]]])
 _SKY = np.array([[190, 214, 235], [242, 245, 250]])  # Above and below.
-_PATH = (235, 120, 40)  # The colour of a plan's path.
+_PATH, _PATH_WIDTH = (235, 120, 40), 3.0  # Of a plan: colour, pixels.
 
 
 class LiveScene:
@@ -136,7 +136,8 @@ class LiveScene:
         '/world/path',
         np.stack([path[:-1], path[1:]], axis=1),
         _PATH,
-        line_width=3.0,
+        thickness=_PATH_WIDTH,
+        thickness_units='screen',
       )
 
   def _show_ground(self, terrain: terrain_lib.Terrain, x: float) -> None:
