@@ -98,7 +98,7 @@ $(BIN)/python:
 $(VENV)/installed: setup.cfg pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet $(TORCH)
-	$(BIN)/python -m pip install --quiet -e '.[dev,gym]'
+	$(BIN)/python -m pip install --quiet -e '.[dev,export,gym]'
 	@touch $@
 
 # Draws one frame. A machine that cannot still runs what draws nothing.

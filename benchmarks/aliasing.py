@@ -69,7 +69,7 @@ def main(argv: Sequence[str]) -> None:
     policy = pretrained.load(name)
     timestep = policy.config.control_timestep
     found[name] = height_profiles.profiles(
-      policy, policy.config, _MODES.value, _EPISODES.value, _SEED.value
+      policy, _MODES.value, _EPISODES.value, _SEED.value
     )
     table[name] = height_profiles.separation(found[name], timestep)
     print(f'{name:40}{table[name]:12.3f}')

@@ -4,8 +4,10 @@ import dataclasses
 from typing import Any, Sequence
 
 import numpy as np
+import torch
 
 from dmc_multimode import pretrained
+from dmc_multimode.agents.ppo import symmetry
 from dmc_multimode.bin import scoring
 from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import reference
@@ -17,7 +19,6 @@ from dmc_multimode.suite import terminations
 
 _CYCLES = 2  # Of the first mode before the earliest switch.
 _SECONDS = 3.0  # That an episode goes on after the latest switch.
-_CLOCK = 2  # Entries of the observation ahead of the command.
 
 
 class HardSwitch:
@@ -38,18 +39,19 @@ class HardSwitch:
       policy.motions[0] for policy in policies
     )
     self.codebook: codebook_lib.Codebook = codebook_lib.one_hot(self.motions)
+    self._commands = symmetry.Commands(self.codebook.latents)
 
   def select_action(self, observation: np.ndarray) -> np.ndarray:
     """Joint targets [B, 10] for observations [B, D] with one-hot commands."""
-    end = _CLOCK + len(self._policies)
-    running = observation[:, _CLOCK:end].argmax(axis=1)
+    running = self._commands.modes(torch.from_numpy(observation)).numpy()
+    start, end = self._commands.part.start, self._commands.part.stop
     actions = np.zeros(
       (len(observation), observations.NUM_JOINTS), dtype=np.float32
     )
     for i, policy in enumerate(self._policies):
       mine = observation[running == i]
       latent = np.tile(policy.codebook.latents, (len(mine), 1))
-      seen = np.concatenate([mine[:, :_CLOCK], latent, mine[:, end:]], axis=1)
+      seen = np.concatenate([mine[:, :start], latent, mine[:, end:]], axis=1)
       actions[running == i] = policy.select_action(seen)
     return actions
 
@@ -72,8 +74,11 @@ def judge(
   second: str,
   phases: int,
   seed: int,
-) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-  """Returns how the switches went, and what was measured, [T, phases, ...]."""
+) -> tuple[dict[str, Any], np.ndarray]:
+  """Returns how the switches went, and the trunk's heights.
+
+  The heights are in the world, metres, [T, phases]; nan after an episode.
+  """
   bank = reference.ReferenceBank(policy.motions)
   schedule = make_schedule(bank, first, second, phases)
   config = dataclasses.replace(
@@ -98,4 +103,4 @@ def judge(
   heights = found.traces['position'][:, :, 2].copy()
   late = np.arange(len(heights))[:, None] >= found.lengths
   heights[late] = np.nan
-  return row, {'height': heights, 'support': found.traces['support']}
+  return row, heights

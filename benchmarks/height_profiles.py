@@ -5,6 +5,7 @@ from typing import Sequence
 
 import numpy as np
 
+from dmc_multimode import pretrained
 from dmc_multimode.bin import scoring
 from dmc_multimode.modes import reference
 from dmc_multimode.modes import schedule as schedule_lib
@@ -15,8 +16,7 @@ _SETTLED = 1.2  # Seconds after which heights count.
 
 
 def profiles(
-  policy: scoring.Policy,
-  config: config_lib.ImitationConfig,
+  policy: pretrained.Policy,
   modes: Sequence[str],
   episodes: int,
   seed: int,
@@ -25,7 +25,6 @@ def profiles(
 
   Args:
     policy: knows the modes.
-    config: of its task.
     modes: names, M of them.
     episodes: of each.
     seed: of the initial states.
@@ -38,7 +37,7 @@ def profiles(
     ValueError: the policy does not know a mode.
   """
   config = dataclasses.replace(
-    config_lib.for_evaluation(config), limits=terminations.NO_LIMITS
+    config_lib.for_evaluation(policy.config), limits=terminations.NO_LIMITS
   )
   bank = reference.ReferenceBank(policy.motions)
   ids = np.repeat([bank.index(name) for name in modes], episodes)

@@ -42,14 +42,13 @@ FIGURE_FILE = 'switching.png'
 
 
 def _draw(
-  measured: dict[str, dict[str, np.ndarray]], timestep: float, switch: float
+  heights: dict[str, np.ndarray], timestep: float, switch: float
 ) -> Any:
   """Draws the heights of the trunk in the switch at the middle phase."""
   drawn, ((axis,),) = figures.empty(1, 1, 7.0, 3.0)
-  for i, (name, traces) in enumerate(measured.items()):
-    height, middle = traces['height'], traces['height'].shape[1] // 2
+  for i, (name, height) in enumerate(heights.items()):
     times = timestep * np.arange(1, len(height) + 1)
-    axis.plot(times, height[:, middle], f'C{i}', label=name)
+    axis.plot(times, height[:, height.shape[1] // 2], f'C{i}', label=name)
   axis.axvline(switch, color='0.5', linewidth=0.8)
   axis.set(xlabel='time (s)', ylabel='height of the trunk (m)')
   axis.legend(fontsize='small')
@@ -70,9 +69,9 @@ def main(argv: Sequence[str]) -> None:
     _POLICY.value: multimodal,
     f'{_BEFORE.value}, {_AFTER.value}': switched,
   }
-  rows, measured = {}, {}
+  rows, heights = {}, {}
   for name, policy in policies.items():
-    rows[name], measured[name] = hard_switch.judge(
+    rows[name], heights[name] = hard_switch.judge(
       policy, config, first, second, _PHASES.value, _SEED.value
     )
   print(f'{f"{first} -> {second}":40}{"succeeded":>12}{"fallen":>8}')
@@ -83,7 +82,7 @@ def main(argv: Sequence[str]) -> None:
   common.write_report(out, report)
   if folder:
     switch = next(iter(rows.values()))['switches'][_PHASES.value // 2]
-    drawn = _draw(measured, config.control_timestep, switch)
+    drawn = _draw(heights, config.control_timestep, switch)
     figures.save(pathlib.Path(folder) / FIGURE_FILE, drawn)
 
 

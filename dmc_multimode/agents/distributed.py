@@ -164,7 +164,8 @@ class Torch:
 
   def any(self, *flags: bool) -> tuple[bool, ...]:
     """See `Communicator`."""
-    return tuple(count > 0 for count in self._sum(torch.tensor(flags).int()))
+    counts = self._sum(torch.tensor(flags).int()).tolist()
+    return tuple(count > 0 for count in counts)
 
   def gather(self, rows: torch.Tensor) -> torch.Tensor:
     """See `Communicator`."""

@@ -9,7 +9,7 @@ import multiprocessing
 import os
 import pathlib
 import socket
-from typing import Any, Iterator, Mapping
+from typing import Any, Mapping
 from unittest import mock
 
 import numpy as np
@@ -24,6 +24,8 @@ from dmc_multimode.agents.ppo import config as config_lib
 from dmc_multimode.agents.ppo import learning
 from dmc_multimode.agents.ppo import symmetry
 from tests.agents import toy
+
+pytestmark = pytest.mark.usefixtures('one_thread')
 
 _RANKS = 2
 _TIMEOUT = 120  # Seconds.
@@ -300,14 +302,6 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> list[_Found]:
   return [
     torch.load(folder / str(rank), weights_only=False) for rank in range(_RANKS)
   ]
-
-
-@pytest.fixture(autouse=True)
-def _threads() -> Iterator[None]:
-  before = torch.get_num_threads()
-  torch.set_num_threads(1)
-  yield
-  torch.set_num_threads(before)
 
 
 def test_operations(found: list[_Found]) -> None:

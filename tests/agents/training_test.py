@@ -5,7 +5,7 @@ import itertools
 import math
 import pathlib
 import time
-from typing import Any, Iterator, Mapping
+from typing import Any, Mapping
 from unittest import mock
 
 import numpy as np
@@ -21,6 +21,8 @@ from dmc_multimode.modes import codebook
 from dmc_multimode.modes import library
 from dmc_multimode.suite import config as task_config
 from tests.agents import toy
+
+pytestmark = pytest.mark.usefixtures('one_thread')
 
 _PPO = config_lib.PPOConfig(hidden_sizes=(16,), rollout_length=4, minibatches=2)
 # Terrain that moves (launch), mirror images, and episodes short enough to end
@@ -42,14 +44,6 @@ _RUN = run_setup.RunConfig(
   task=task_config.ImitationConfig(time_limit=0.45),
 )
 _ITERATION = _RUN.num_worlds * _PPO.rollout_length  # Control steps.
-
-
-@pytest.fixture(autouse=True)
-def _threads() -> Iterator[None]:
-  before = torch.get_num_threads()
-  torch.set_num_threads(1)
-  yield
-  torch.set_num_threads(before)
 
 
 class Recorder:

@@ -5,7 +5,7 @@ import importlib.util
 import json
 import pathlib
 import sys
-from typing import Any, Iterator
+from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -333,23 +333,6 @@ _TINY = (
   '--ppo_hidden_sizes=8',
   '--task_time_limit=0.09',
 )
-
-
-# Stands in for a binary without flags, to be replaced.
-_PLACEHOLDER = 'app'
-_WARM_UP = """
-from benchmarks import learning as binary
-"""
-
-
-@pytest.fixture(scope='module')
-def benchmark(
-  tmp_path_factory: pytest.TempPathFactory,
-) -> Iterator[processes.Binary]:
-  folder = tmp_path_factory.mktemp('output')
-  binary = processes.Binary(_PLACEHOLDER, folder, _WARM_UP)
-  yield binary
-  binary.close()
 
 
 def test_report(benchmark: processes.Binary, tmp_path: pathlib.Path) -> None:

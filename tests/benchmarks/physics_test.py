@@ -3,7 +3,7 @@
 import functools
 import json
 import pathlib
-from typing import Any, Iterator
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -162,26 +162,12 @@ def test_profiler() -> None:
 
 # The benchmark, in processes of its own: flags are global.
 
-_PLACEHOLDER = 'app'  # A binary without flags, to be replaced.
-_WARM_UP = """
-from benchmarks import physics as binary
-"""
 _TINY = (
   '--num_worlds=2',
   '--rounds=2',
   '--seconds=0.001',
   '--episodes=1',
 )
-
-
-@pytest.fixture(scope='module')
-def benchmark(
-  tmp_path_factory: pytest.TempPathFactory,
-) -> Iterator[processes.Binary]:
-  folder = tmp_path_factory.mktemp('output')
-  binary = processes.Binary(_PLACEHOLDER, folder, _WARM_UP)
-  yield binary
-  binary.close()
 
 
 @pytest.fixture(scope='module')

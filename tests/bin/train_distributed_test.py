@@ -15,18 +15,10 @@ from dmc_multimode import pretrained
 from dmc_multimode.agents import checkpointing
 from dmc_multimode.bin import launches
 from dmc_multimode.bin import run_setup
+from tests.bin import short_run
 
 _ROOT = pathlib.Path(__file__).parents[2]
 _TIMEOUT = 300  # Seconds.
-_ITERATION = 8 * 4  # Control steps.
-_TINY = (
-  '--num_worlds=8',
-  '--ppo_rollout_length=4',
-  '--ppo_hidden_sizes=16',
-  '--modes=idle,walk_forward',
-  '--one_hot',
-)
-_STEPS = 12 * _ITERATION
 # Runs the binary; every rank notes its network at the end. With a folder named
 # STALL_IN, ranks wait after the eighth iteration until they are ended, once.
 _RANK = """
@@ -82,7 +74,7 @@ class Launch:
         *launcher,
         str(self._script),
         f'--run_dir={self.run}',
-        *_TINY,
+        *short_run.FLAGS,
         *flags,
       ],
       stdout=subprocess.PIPE,
@@ -142,11 +134,15 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Launch:
   """A run of two ranks that nothing has interrupted."""
   launch = Launch(tmp_path_factory.mktemp('two') / 'launch')
   stdout, stderr = _finish(
-    launch.start('--threads=2', f'--steps={_STEPS}', launcher=_torchrun(2))
+    launch.start(
+      '--threads=2', f'--steps={short_run.STEPS}', launcher=_torchrun(2)
+    )
   )
   # Rank 0 alone has a say.
   (line,) = stdout.splitlines()
-  assert line == f'{_STEPS} steps; the policy is in {launch.run / "policy"}'
+  assert (
+    line == f'{short_run.STEPS} steps; the policy is in {launch.run / "policy"}'
+  )
   assert stderr.count('0.00/384') == 1
   assert 'error' not in stderr and 'Traceback' not in stderr
   return launch
@@ -155,7 +151,7 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Launch:
 def test_one_rank_is_what_no_torchrun_is(tmp_path: pathlib.Path) -> None:
   launches = [Launch(tmp_path / name) for name in ('plain', 'torchrun')]
   processes = [
-    launch.start('--threads=1', f'--steps={_STEPS}', launcher=launcher)
+    launch.start('--threads=1', f'--steps={short_run.STEPS}', launcher=launcher)
     for launch, launcher in zip(launches, ((), _torchrun(1)), strict=True)
   ]
   for process in processes:
@@ -171,7 +167,7 @@ def test_one_rank_is_what_no_torchrun_is(tmp_path: pathlib.Path) -> None:
 def test_two_ranks_hold_one_network(two: Launch) -> None:
   _assert_equal(two.network(0), two.network(1))
   tensors, values = checkpointing.load_tensors(two.run / checkpointing.NAME)
-  assert values['ranks'] == 2 and values['steps'] == _STEPS
+  assert values['ranks'] == 2 and values['steps'] == short_run.STEPS
   network = {
     key.removeprefix('learner/network/'): value
     for key, value in tensors.items()
@@ -183,7 +179,7 @@ def test_two_ranks_hold_one_network(two: Launch) -> None:
   assert not torch.equal(*worlds)
   config, _, _ = run_setup.load_run(two.run)
   assert config.num_worlds == 8
-  assert pretrained.load(two.run).provenance['steps'] == _STEPS
+  assert pretrained.load(two.run).provenance['steps'] == short_run.STEPS
 
 
 def test_killed_rank_begins_again_and_ends_the_same(
@@ -194,7 +190,7 @@ def test_killed_rank_begins_again_and_ends_the_same(
   marks.mkdir()
   process = launch.start(
     '--threads=2',
-    f'--steps={_STEPS}',
+    f'--steps={short_run.STEPS}',
     launcher=_torchrun(2, '--max-restarts=3'),
     STALL_IN=str(marks),
   )
@@ -204,7 +200,7 @@ def test_killed_rank_begins_again_and_ends_the_same(
     stdout, _ = _finish(process)
   finally:
     process.kill()
-  assert f'Resuming at {7 * _ITERATION} steps.' in stdout
+  assert f'Resuming at {7 * short_run.ITERATION} steps.' in stdout
   for rank in range(2):
     _assert_equal(launch.network(rank), two.network(0))
   found, expected = (

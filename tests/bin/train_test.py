@@ -19,19 +19,12 @@ from dmc_multimode import pretrained
 from dmc_multimode.agents import checkpointing
 from dmc_multimode.bin import run_setup
 from tests.bin import processes
+from tests.bin import short_run
 
 _ROOT = pathlib.Path(__file__).parents[2]
-_ITERATION = 8 * 4  # Control steps.
-_TINY = (
-  '--num_worlds=8',
-  '--ppo_rollout_length=4',
-  '--ppo_hidden_sizes=16',
-  '--modes=idle,walk_forward',
-  '--one_hot',
-  '--threads=1',
-)
+_ITERATION, _STEPS = short_run.ITERATION, short_run.STEPS
+_TINY = (*short_run.FLAGS, '--threads=1')
 _ROW_EVERY = 5 * _ITERATION  # Between rows of the logs.
-_STEPS = 12 * _ITERATION  # Two rows, and some steps that no row tells of.
 # A checkpoint after every iteration; stalls with the eighth rollout at hand.
 _STALLING = """
 import functools, time

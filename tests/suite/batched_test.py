@@ -42,9 +42,7 @@ _SWITCHES = (0.0, 0.36, 0.66)  # Seconds.
 _GAINS = rewards.RewardGains(0.35, 0.35, 0.3)
 _ENDLESS = config.ImitationConfig(
   gains=_GAINS,
-  limits=terminations.TerminationLimits(
-    distance=np.inf, reward=-1.0, height=-np.inf, angle=np.pi
-  ),
+  limits=terminations.NO_LIMITS,
 )
 _ENDING = config.ImitationConfig(gains=_GAINS)
 

@@ -26,9 +26,6 @@ _CALM = dataclasses.replace(
   velocity_noise=0.0,
   tilt_noise=0.0,
 )
-_ANYTHING_GOES = terminations.TerminationLimits(
-  distance=np.inf, reward=-1.0, height=-np.inf, angle=np.pi
-)
 
 
 def _env(
@@ -119,7 +116,9 @@ class RewardTest(parameterized.TestCase):
     env = _env(
       ['walk_forward', 'launch', 'leap_left'],
       [0.0, 0.3, 0.9],
-      dataclasses.replace(config.ImitationConfig(), limits=_ANYTHING_GOES),
+      dataclasses.replace(
+        config.ImitationConfig(), limits=terminations.NO_LIMITS
+      ),
     )
     random, spec = np.random.RandomState(0), env.action_spec()
     env.reset()

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from typing import Any, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,16 +23,10 @@ from dmc_multimode.suite import mirror as mirror_lib
 from dmc_multimode.suite import multimode_biped
 from tests.agents import toy
 
+pytestmark = pytest.mark.usefixtures('one_thread')
+
 _T, _B, _D, _A = 4, 8, 3, 2
 _CONFIG = config_lib.PPOConfig(hidden_sizes=(16,), rollout_length=_T)
-
-
-@pytest.fixture(autouse=True)
-def _one_thread() -> Iterator[None]:
-  before = torch.get_num_threads()
-  torch.set_num_threads(1)
-  yield
-  torch.set_num_threads(before)
 
 
 def _network(
