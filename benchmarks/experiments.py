@@ -6,9 +6,8 @@ import sys
 import time
 from typing import Any, NamedTuple
 
+from benchmarks import shipping
 from dmc_multimode import pretrained
-
-_TRAINING_FILE = 'training.csv'
 
 # Table II: MRA over modes and over transitions, mean and standard deviation.
 PAPER: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {
@@ -65,6 +64,16 @@ def parts(episodes: int) -> list[Part]:
   return [
     *result,
     Part('aliasing', benchmark('aliasing', drawing), ('pi2', 'pi2_one_hot')),
+    # A mode that has collapsed keeps the height of a robot that stands.
+    Part(
+      'collapse',
+      (
+        *('-m', 'benchmarks.aliasing', '--modes=idle,leap_left'),
+        *('--policy=pi1', '--policy=pi1_uniform'),
+        *('--out={out}/collapse.json', '--figures={out}/collapse'),
+      ),
+      ('pi1', 'pi1_uniform'),
+    ),
     Part(
       'switching',
       benchmark('switching', drawing),
@@ -77,7 +86,9 @@ def parts(episodes: int) -> list[Part]:
 
 def _training(policy: str) -> pathlib.Path:
   """Returns where the curves of a shipped policy's training are."""
-  return pathlib.Path(pretrained.__file__).parent / policy / _TRAINING_FILE
+  return (
+    pathlib.Path(pretrained.__file__).parent / policy / shipping.TRAINING_FILE
+  )
 
 
 def run(part: Part, out: pathlib.Path) -> float:

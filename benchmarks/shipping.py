@@ -1,0 +1,76 @@
+"""What a shipped policy consists of, made from a training run."""
+
+import csv
+import io
+import json
+import pathlib
+
+from dmc_multimode import atomic
+
+TRAINING_FILE = 'training.csv'
+_DIGITS = 4  # Significant ones of a curve.
+
+
+def thinned(text: str, every: int) -> str:
+  """Returns the metrics of a run with fewer rows and digits.
+
+  Args:
+    text: of a `metrics.csv`, with a column `steps`.
+    every: control steps between two rows; the last row always stays.
+
+  Raises:
+    ValueError: the text holds no such metrics.
+  """
+  rows = list(csv.reader(io.StringIO(text)))
+  if len(rows) < 2 or rows[0][:1] != ['steps']:
+    raise ValueError('These are not the metrics of a run.')
+  kept, due = [rows[0]], 0.0
+  for row in rows[1:]:
+    if float(row[0]) >= due or row is rows[-1]:
+      kept.append([row[0], *(f'{float(cell):.{_DIGITS}g}' for cell in row[1:])])
+      due = float(row[0]) + every
+  written = io.StringIO()
+  csv.writer(written, lineterminator='\n').writerows(kept)
+  return written.getvalue()
+
+
+def gather(
+  run: pathlib.Path, policy: pathlib.Path, every: int
+) -> dict[str, bytes]:
+  """Returns the files of a shipped policy by name, but for its metrics.
+
+  Args:
+    run: folder of the training run.
+    policy: folder of the policy, the run's last or one that it kept.
+    every: as for `thinned`.
+
+  Raises:
+    FileNotFoundError: the run or the policy lacks a file.
+    ValueError: the policy is of another run, or the curves are damaged.
+  """
+  files = {
+    path.name: path.read_bytes()
+    for folder in (policy, run / 'encoder')
+    if folder.is_dir()
+    for path in sorted(folder.iterdir())
+    if path.suffix in ('.json', '.safetensors')
+  }
+  if 'policy.json' not in files:
+    raise FileNotFoundError(f'{policy} holds no policy.')
+  made = json.loads(files['policy.json'])['provenance']['run']
+  config = json.loads((run / 'config.json').read_text(encoding='utf-8'))
+  if made != config['run']:
+    raise ValueError(f'{policy} is not a policy of the run in {run}.')
+  text = (run / 'metrics.csv').read_text(encoding='utf-8')
+  files[TRAINING_FILE] = thinned(text, every).encode()
+  return files
+
+
+def write(files: dict[str, bytes], folder: pathlib.Path) -> None:
+  """Writes the files, each whole or not at all, and nothing else stays."""
+  folder.mkdir(parents=True, exist_ok=True)
+  for path in folder.iterdir():
+    if path.name not in files:
+      path.unlink()
+  for name, content in files.items():
+    atomic.write(folder / name, content)
