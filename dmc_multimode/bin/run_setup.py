@@ -215,7 +215,9 @@ def build(
   task = multimode_biped.make_task(
     motions,
     codebook,
-    episodes.TransitionEpisodes(bank, config.sampling),
+    episodes.TransitionEpisodes(
+      bank, config.sampling, config.task.steps_from_ground
+    ),
     track.make(
       'flat', _OBSTACLE_SEGMENTS if config.task.obstacles else _FLAT_SEGMENTS
     ),

@@ -218,7 +218,14 @@ def evaluate_transitions(
   )
   initial, final = cases[:, 0].astype(int), cases[:, 1].astype(int)
   found = evaluator.run(
-    schedule_lib.transitions(bank, initial, final, cases[:, 2], cases[:, 3]),
+    schedule_lib.transitions(
+      bank,
+      initial,
+      final,
+      cases[:, 2],
+      cases[:, 3],
+      evaluator.config.steps_from_ground,
+    ),
     'transitions',
   )
   result = {}

@@ -185,11 +185,9 @@ class ReferenceBank:
     self._landings = self._next_touch_downs()
     self._airborne = self.has_contacts[:, None] & ~self._contacts.any(axis=-1)
     modes = np.arange(num)
-    left, _ = self._locate(modes, self.takeoffs)
+    self.has_step = np.array([m.step is not None for m in self.motions])
     self.touchdowns = np.where(
-      (self.takeoffs > 0) & self._airborne[modes, left],
-      self._landings[modes, left],
-      self.takeoffs,
+      self.takeoffs > 0, self.grounded(modes, self.takeoffs), 0.0
     )
     start = _rotation(self._orientations[:, :-1].reshape(-1, 4))
     end = _rotation(self._orientations[:, 1:].reshape(-1, 4))
@@ -210,6 +208,17 @@ class ReferenceBank:
     landings = np.where(self._contacts.any(axis=-1), phases, np.inf)
     landings = np.minimum.accumulate(landings[:, ::-1], axis=1)[:, ::-1]
     return np.minimum(landings, 1.0)
+
+  def grounded(self, modes: np.ndarray, phases: np.ndarray) -> np.ndarray:
+    """Returns phases, or those of the touch-down that ends a flight, [B].
+
+    Args:
+      modes: mode indices, [B].
+      phases: phases in [0, 1], [B].
+    """
+    left, _ = self._locate(modes, phases)
+    flies = self._airborne[modes, left]
+    return np.where(flies, self._landings[modes, left], phases)
 
   def __len__(self) -> int:
     return len(self.motions)

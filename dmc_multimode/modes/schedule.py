@@ -69,6 +69,7 @@ def transitions(
   final: np.ndarray,
   clips: np.ndarray,
   phases: np.ndarray,
+  steps_from_ground: bool = True,
 ) -> ModeSchedule:
   """The episodes of Algorithm 1: m_i until t_s, then m_f.
 
@@ -80,8 +81,15 @@ def transitions(
     bank: the mode set.
     initial, final: mode indices, [B].
     clips, phases: clip_s and phi_s, [B].
+    steps_from_ground: whether a mode that calls for a step waits until the
+      initial mode has landed: a robot in flight cannot help where it lands,
+      which may be where the step would be.
   """
-  cycles = np.maximum(clips + phases, bank.touchdowns[initial])
+  cycles = clips + phases
+  waits = steps_from_ground & bank.has_step[final]
+  then = np.where(bank.transient[initial], np.minimum(cycles, 1.0), phases)
+  cycles = cycles + waits * (bank.grounded(initial, then) - then)
+  cycles = np.maximum(cycles, bank.touchdowns[initial])
   switch = cycles * bank.durations[initial]
   modes = np.stack([initial, final], axis=1).astype(np.int64)
   starts = np.stack([np.zeros(len(switch)), switch], axis=1)

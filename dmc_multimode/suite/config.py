@@ -43,6 +43,8 @@ class ImitationConfig:
       random phase, with the reference's velocity.
     edge_noise: half-width of the uniform noise on the distance to a step that
       a mode such as launch needs, metres.
+    steps_from_ground: whether a mode that calls for a step is commanded only
+      when the mode before it is on the ground, see `schedule.transitions`.
     joint_noise: standard deviation of the initial joint angles, radians.
     velocity_noise: standard deviation of the initial velocities, m/s and rad/s.
     tilt_noise: standard deviation of the initial roll and pitch, radians.
@@ -69,6 +71,7 @@ class ImitationConfig:
   push_start: int = 0
   reference_starts: float = 0.5
   edge_noise: float = 0.04
+  steps_from_ground: bool = True
   joint_noise: float = 0.05
   velocity_noise: float = 0.1
   tilt_noise: float = 0.03
@@ -196,7 +199,7 @@ def from_dict(values: Mapping[str, Any]) -> ImitationConfig:
   """Returns what `to_dict` was given.
 
   What was written before there was a `servo_inertia` knew none, nor a limit of
-  the angle.
+  the angle, nor did commands wait for the ground.
 
   Raises:
     ValueError: a field is unknown or of the wrong type.
@@ -205,6 +208,7 @@ def from_dict(values: Mapping[str, Any]) -> ImitationConfig:
     return ImitationConfig(
       **{
         'servo_inertia': False,
+        'steps_from_ground': False,
         **values,
         'gains': rewards.RewardGains(**values['gains']),
         'limits': terminations.TerminationLimits(

@@ -63,9 +63,11 @@ class TransitionEpisodes:
     self,
     bank: reference.ReferenceBank,
     config: sampling.SamplingConfig | None = None,
+    steps_from_ground: bool = True,
   ):
-    """Samples over the modes of `bank`."""
+    """Samples over the modes of `bank`; see `schedule.transitions`."""
     self._bank, self._config = bank, config or sampling.SamplingConfig()
+    self._steps_from_ground = steps_from_ground
     self._gaits = np.flatnonzero(bank.gaits)
     self._steps = 0
     self.sampler = sampling.ModeSampler(len(bank), self._config)
@@ -83,7 +85,7 @@ class TransitionEpisodes:
     clips = random_state.choice(schedule_lib.CLIPS, size=len(ids))
     phases = random_state.choice(schedule_lib.SWITCH_PHASES, size=len(ids))
     schedule = schedule_lib.transitions(
-      self._bank, initial, final, clips, phases
+      self._bank, initial, final, clips, phases, self._steps_from_ground
     )
     return Episodes(schedule, initial, final)
 

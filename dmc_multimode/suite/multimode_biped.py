@@ -72,8 +72,12 @@ def make_task(
   names = tuple(motion.name for motion in motions)
   if isinstance(arena, str):
     arena = track.make(arena)
+  config = config or config_lib.ImitationConfig()
   if episodes is None:
-    episodes = episodes_lib.TransitionEpisodes(reference.ReferenceBank(motions))
+    episodes = episodes_lib.TransitionEpisodes(
+      reference.ReferenceBank(motions),
+      steps_from_ground=config.steps_from_ground,
+    )
   return imitation.Imitation(
     mini_biped.MiniBiped(),
     arena,

@@ -73,6 +73,25 @@ class BuildersTest(parameterized.TestCase):
     expected = [0.15, 0.9, 0.82 * 1.1, 1.25 * 1.1]
     np.testing.assert_allclose(plan.starts[:, 1], expected)
 
+  def test_a_step_waits_for_the_ground(self) -> None:
+    bank = _bank()
+    leap, launch = bank.index('leap_forward'), bank.index('launch')
+    plan = lambda **kwargs: schedule.transitions(
+      bank,
+      initial=np.array([leap, leap, leap, leap]),
+      final=np.array([launch, launch, launch, 0]),
+      clips=np.array([0, 1, 0, 0]),
+      phases=np.array([0.5, 0.5, 0.75, 0.5]),
+      **kwargs,
+    )
+    # A leap lasts 1.2 s and flies from phase 0.42 to 0.70.
+    np.testing.assert_allclose(
+      plan().starts[:, 1], [0.70 * 1.2, 1.70 * 1.2, 0.75 * 1.2, 0.5 * 1.2]
+    )
+    np.testing.assert_allclose(
+      plan(steps_from_ground=False).starts[:, 1], [0.6, 1.8, 0.9, 0.6]
+    )
+
   def test_from_knots(self) -> None:
     plan = schedule.from_knots(np.array([[1, 0, 2]]), 0.3, clock_rate=0.8)
     np.testing.assert_array_equal(plan.modes, [[1, 0, 2]])

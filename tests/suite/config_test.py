@@ -135,6 +135,11 @@ class ImitationConfigTest(parameterized.TestCase):
     del values['limits']['angle']
     self.assertEqual(config.from_dict(values).limits.angle, np.pi)
 
+  def test_old_commands_did_not_wait_for_the_ground(self) -> None:
+    values = config.to_dict(config.ImitationConfig())
+    del values['steps_from_ground']
+    self.assertFalse(config.from_dict(values).steps_from_ground)
+
   @parameterized.parameters(
     {'remove': 'gains'},
     {'unknown': 1.0},
