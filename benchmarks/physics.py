@@ -199,7 +199,8 @@ class Course:
   ):
     """Compiles the models and collects the states."""
     episodes = episodes_lib.TransitionEpisodes(
-      reference.ReferenceBank(policy.motions)
+      reference.ReferenceBank(policy.motions),
+      steps_from_ground=config.steps_from_ground,
     )
     make = lambda variant: _Worlds(
       variant,
