@@ -160,7 +160,7 @@ class TrainingLoop:
     data, seen = self._buffers, self._observation
     finished = []
     for t in range(self._length):
-      sample = self._actor.sample(seen)
+      sample = self._actor.sample(seen, self.steps)
       step = self._environment.step(sample.action.numpy())
       data.observations[t], data.actions[t] = seen, sample.action
       data.log_probs[t], data.means[t] = sample.log_prob, sample.mean

@@ -6,25 +6,52 @@ import dm_env
 import numpy as np
 import torch
 
+from dmc_multimode.agents.ppo import config as config_lib
 from dmc_multimode.agents.ppo import networks
 
 
 class BatchedActor:
   """Selects actions for all worlds of a batched environment."""
 
-  def __init__(self, network: networks.ActorCritic, seed: int):
+  def __init__(
+    self,
+    network: networks.ActorCritic,
+    seed: int,
+    config: config_lib.PPOConfig | None = None,
+  ):
     """Acts with `network`; `seed` is that of the exploration."""
     self._network = network
     self._generator = torch.Generator().manual_seed(seed)
+    self._config = config or config_lib.PPOConfig()
+    self._quiet = torch.zeros(0, dtype=torch.bool)
 
   @torch.no_grad()
-  def sample(self, observation: torch.Tensor) -> networks.Sample:
-    """Explores, for observations float32 [B, D]; all is on the CPU."""
+  def sample(
+    self, observation: torch.Tensor, steps: int = 0
+  ) -> networks.Sample:
+    """Explores, but where a world is quiet; all is on the CPU.
+
+    Args:
+      observation: float32 [B, D].
+      steps: control steps that all worlds of the training have made.
+    """
     std = self._network.std.cpu()
     mean = self._act(observation)
     noise = torch.empty_like(mean).normal_(generator=self._generator)
+    if self._config.quiet_share and steps >= self._config.quiet_start:
+      self._change_quiet(len(mean))
+      noise[self._quiet] = 0.0
     action = mean + std * noise
     return networks.Sample(action, networks.log_prob(action, mean, std), mean)
+
+  def _change_quiet(self, num_worlds: int) -> None:
+    """Lets some worlds fall quiet, and others explore again."""
+    if len(self._quiet) != num_worlds:
+      self._quiet = torch.zeros(num_worlds, dtype=torch.bool)
+    share, end = self._config.quiet_share, 1 / self._config.quiet_steps
+    begin = end * share / (1 - share)
+    drawn = torch.rand(num_worlds, generator=self._generator)
+    self._quiet = torch.where(self._quiet, drawn >= end, drawn < begin)
 
   @torch.no_grad()
   def select_action(self, observation: np.ndarray) -> np.ndarray:
@@ -36,12 +63,16 @@ class BatchedActor:
     return self._network.act(observation.to(self._network.log_std.device)).cpu()
 
   def state(self) -> dict[str, torch.Tensor]:
-    """Returns the exploration's generator."""
-    return {'generator': self._generator.get_state()}
+    """Returns the exploration's generator, and which worlds are quiet."""
+    state = {'generator': self._generator.get_state()}
+    if self._config.quiet_share:
+      state['quiet'] = self._quiet.clone()
+    return state
 
   def restore(self, state: Mapping[str, torch.Tensor]) -> None:
     """Takes over a `state`."""
     self._generator.set_state(state['generator'])
+    self._quiet = state.get('quiet', self._quiet)
 
 
 class FeedForwardActor:

@@ -85,4 +85,4 @@ class PPOBuilder:
 
   def make_actor(self, network: networks.ActorCritic) -> acting.BatchedActor:
     """Returns an actor that explores with `network`."""
-    return acting.BatchedActor(network, self._own_seed + 2)
+    return acting.BatchedActor(network, self._own_seed + 2, self._config)

@@ -40,6 +40,11 @@ class PPOConfig:
       the floor falls, geometrically, from `min_std` to `final_min_std`, and the
       ceiling likewise: by itself the deviation stays where it is.
     learn_std: whether the standard deviation is learned, or stays as it is.
+    quiet_share: share of the worlds that take mean actions for a while, so that
+      what a policy without exploration gets into is seen in training, too. The
+      policy learns nothing from such actions, but from what it does after them.
+    quiet_steps: how long such a while is on average, control steps.
+    quiet_start: control steps of all worlds together before there is any.
     symmetry: 'augment' adds the left-right mirror image of every sample;
       'alternate' shows each pass either the sample or its image, at half of the
       cost.
@@ -69,6 +74,9 @@ class PPOConfig:
   anneal_start: int = 0
   anneal_end: int = 0
   learn_std: bool = True
+  quiet_share: float = 0.0
+  quiet_steps: int = 40
+  quiet_start: int = 0
   symmetry: str = 'none'
   privileged_critic: bool = True
   advantages: str = 'all'
@@ -104,6 +112,15 @@ class PPOConfig:
       raise ValueError(f'discount must be in [0, 1), got {self.discount}.')
     if not 0 <= self.gae_lambda <= 1:
       raise ValueError(f'gae_lambda must be in [0, 1], got {self.gae_lambda}.')
+    if not 0 <= self.quiet_share < 1:
+      raise ValueError(
+        f'quiet_share must be in [0, 1), got {self.quiet_share}.'
+      )
+    if self.quiet_steps < 1 or self.quiet_start < 0:
+      raise ValueError(
+        f'quiet_steps {self.quiet_steps} must be positive, and quiet_start '
+        f'{self.quiet_start} not negative.'
+      )
     if not 0 <= self.anneal_start <= self.anneal_end:
       raise ValueError(
         f'anneal_start {self.anneal_start} must not be negative nor later than '

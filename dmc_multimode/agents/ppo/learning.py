@@ -227,10 +227,11 @@ class PPOLearner:
     if config.advantages == 'mode':
       assert self._commands is not None  # So says the constructor.
       groups = self._commands.modes(rollouts.observations.flatten(0, 1))
+    # An action that was not drawn says nothing about the others.
+    explored = (samples.actions != samples.means).any(dim=-1)
     samples = samples._replace(
-      advantages=losses.normalised(
-        samples.advantages, groups, self._communicator
-      )
+      advantages=explored
+      * losses.normalised(samples.advantages, groups, self._communicator)
     )
     return self._with_mirror_images(samples, rollouts)
 
