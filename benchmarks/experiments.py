@@ -79,6 +79,23 @@ def parts(episodes: int) -> list[Part]:
       benchmark('switching', drawing),
       ('pi2', 'unimodal_walk', 'unimodal_launch'),
     ),
+    Part(
+      'encoding',
+      (
+        *('-m', 'dmc_multimode.bin.train_encoder'),
+        *('--modes=pi2', '--out={out}/encoding'),
+      ),
+      (),
+    ),
+    Part(
+      'modes',
+      (
+        *('-m', 'dmc_multimode.bin.record', '--policy=pi2', '--arena=flat'),
+        '--schedule=walk_forward:2.4,leap_forward:2.4,launch:2',
+        '--out={out}/modes.mp4',
+      ),
+      ('pi2',),
+    ),
     Part('planning', benchmark('planning', '--random=0'), ('pi2',)),
     Part('robustness', benchmark('robustness', '--episodes=1'), ('pi2',)),
   ]
