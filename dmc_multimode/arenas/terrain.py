@@ -56,6 +56,11 @@ def support_height(terrain: Terrain, x: np.ndarray) -> np.ndarray:
   return terrain.tops[rows, _segment_under(terrain, x)]
 
 
+def segment_start(terrain: Terrain, x: np.ndarray) -> np.ndarray:
+  """Returns where the segment under `x`, [B], begins, world metres, [B]."""
+  return terrain.starts[np.arange(len(x)), _segment_under(terrain, x)]
+
+
 def clearance_height(
   terrain: Terrain, x: np.ndarray, reach: float
 ) -> np.ndarray:
@@ -140,6 +145,20 @@ def levelled(terrain: Terrain, x: np.ndarray) -> Terrain:
   ends[rows, under] = used.max(axis=1)
   behind = np.arange(starts.shape[1]) > under[:, None]
   starts[behind], ends[behind], tops[behind] = np.inf, np.inf, 0.0
+  return Terrain(starts, ends, tops)
+
+
+def levelled_behind(terrain: Terrain, x: np.ndarray) -> Terrain:
+  """Returns terrains that are from their beginning as they are at `x`, [B]."""
+  places = np.arange(terrain.starts.shape[1])
+  kept = places + _segment_under(terrain, x)[:, None]
+  beyond = kept >= len(places)
+  kept = np.minimum(kept, len(places) - 1)
+  starts, ends, tops = (
+    np.where(beyond, unused, np.take_along_axis(field, kept, axis=1))
+    for field, unused in zip(terrain, (np.inf, np.inf, 0.0), strict=True)
+  )
+  starts[:, 0] = terrain.starts[:, 0]
   return Terrain(starts, ends, tops)
 
 

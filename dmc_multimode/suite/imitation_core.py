@@ -32,6 +32,7 @@ _SLOWEST_START = 0.5  # Share of the reference's velocity.
 _FOOT_REACH = 0.12  # Metres ahead and behind the trunk that feet may cover.
 _LEAST_ALONG = 0.5  # Share of the way of a step that is along x, at least.
 _STRIDE = 0.45  # Metres ahead of the trunk where a foot may stand already.
+_LANDED = 0.2  # Metres past an edge where no foot is before it any more.
 
 
 class Outcome(NamedTuple):
@@ -285,7 +286,10 @@ class ImitationCore:
     """
     changed = np.zeros(0, dtype=np.int64)
     if self._adaptive:
-      changed = self._place_steps(ids, modes, x, random_state)
+      changed = np.union1d(
+        self._level_behind(ids, modes, x),
+        self._place_steps(ids, modes, x, random_state),
+      )
       if self.obstacle_share:
         changed = np.union1d(
           changed, self._place_obstacles(ids, modes, x, random_state)
@@ -299,6 +303,24 @@ class ImitationCore:
         )
         self.tracker.expect_step(ids[mine], start, step.height)
     return changed
+
+  def _level_behind(
+    self, ids: np.ndarray, modes: np.ndarray, x: np.ndarray
+  ) -> np.ndarray:
+    """Takes away the step behind those whose modes go backwards.
+
+    Returns:
+      The worlds whose terrain changed.
+    """
+    terrain = terrain_lib.Terrain(*(field[ids] for field in self.terrain))
+    begins = terrain_lib.segment_start(terrain, x)
+    has_step = begins > terrain.starts[:, 0]
+    goes_back = self.tracker.bank.displacements[modes, 0] < 0
+    mine = goes_back & has_step & (x - begins > _LANDED)
+    self.terrain.write(
+      ids[mine], terrain_lib.levelled_behind(terrain.rows(mine), x[mine])
+    )
+    return ids[mine]
 
   def _place_steps(
     self,

@@ -291,6 +291,36 @@ class LevelledTest(parameterized.TestCase):
     np.testing.assert_array_equal(ahead, _at(before, x)[0])
 
 
+class LevelledBehindTest(parameterized.TestCase):
+  def test_by_hand(self) -> None:
+    three = _COURSE.rows(np.zeros(3, dtype=np.int64))
+    level = terrain.levelled_behind(three, np.array([0.0, 1.7, 3.0]))
+    none = np.inf
+    np.testing.assert_array_equal(
+      level.starts,
+      [[-20, 1.5, 2, none], [-20, 2, none, none], [-20] + 3 * [none]],
+    )
+    np.testing.assert_array_equal(
+      level.ends, [[1, 2, 9, none], [2, 9, none, none], [9] + 3 * [none]]
+    )
+    np.testing.assert_array_equal(
+      level.tops, [[0, 0.2, 0.6, 0], [0.2, 0.6, 0, 0], [0.6, 0, 0, 0]]
+    )
+    self.assertEqual(_at(_COURSE, 0.0)[0], 0.0)  # The old one is untouched.
+
+  @hypothesis.settings(max_examples=100, deadline=None)
+  @hypothesis.given(segments=_courses(), x=st.floats(-10.0, 25.0))
+  def test_is_level_behind_and_as_before_ahead(
+    self, segments: list[tuple[float, float, float]], x: float
+  ) -> None:
+    before = _terrain(*segments)
+    level = terrain.levelled_behind(before, np.array([x]))
+    behind = _at(level, *np.linspace(-11.0, x, 9))
+    np.testing.assert_array_equal(behind, _at(before, x)[0])
+    for ahead in np.linspace(x, 30.0, 9):
+      self.assertEqual(_at(level, ahead), _at(before, ahead))
+
+
 class BoxesTest(parameterized.TestCase):
   def test_by_hand(self) -> None:
     centres, halves = terrain.boxes(_COURSE)

@@ -591,6 +591,22 @@ class RidingTest(parameterized.TestCase):
     np.testing.assert_allclose(self._heights(core, 0.6, edge), [0.9, 0.9])
     np.testing.assert_allclose(self._heights(core, edge - 0.01), [0.5])
 
+  def test_whoever_goes_back_finds_level_ground(self) -> None:
+    """Once past the edge, with both feet: none may be where a box grows."""
+    names = ['walk_backward', 'leap_backward', 'walk_left', 'walk_backward']
+    core, random_state = _begun(['launch'] * 4)
+    edge = core.terrain.starts[0, 1]
+    x = edge + np.array([0.3, 0.25, 0.3, 0.15])
+    changed = _command(core, names, x, random_state)
+    np.testing.assert_array_equal(changed, [0, 1])
+    for world in range(4):
+      up = (-20, _GROUND_END, 0.4), (-20, edge, 0), (edge, _GROUND_END, 0.4)
+      _assert_segments(core, world, *(up[:1] if world < 2 else up[1:]))
+    # And who is on the ground from the start stays there.
+    core, random_state = _begun(['idle'])
+    changed = _command(core, ['walk_backward'], [0.5], random_state)
+    self.assertEmpty(changed)
+
   def test_launch_from_a_block_onto_the_next(self) -> None:
     core, random_state = _begun(['launch'])
     _command(core, ['launch'], [0.6], random_state)
