@@ -18,6 +18,7 @@ _FOOTHOLD = 0.15  # Metres ahead of the trunk that stay as they are.
 
 # Of a flight over level ground, metres.
 _GAP_WIDTH = (0.1, 0.45)
+_GAP_OF_FLIGHT = 1.4  # Of the trunk's way in flight: the legs swing ahead.
 _GAP_SHIFT = (-0.06, 0.06)
 _LANDING_RISE = (-0.15, 0.1)
 _LEVEL_SHARE = 0.5
@@ -56,7 +57,10 @@ class ObstacleSource:
     self._rises = np.array([step.height if step else 0.0 for step in steps])
     self._lengths = bank.displacements[:, 0]
     self._forward = self._lengths > _FORWARD
-    self._flights = np.array([_flight_middle(motion) for motion in motions])
+    flights = np.array([_flight(motion) for motion in motions])
+    self._flights = flights.mean(axis=1)
+    widest = _GAP_OF_FLIGHT * (flights[:, 1] - flights[:, 0])
+    self._widest = np.clip(np.nan_to_num(widest), *_GAP_WIDTH)
 
   def draw(
     self,
@@ -76,7 +80,7 @@ class ObstacleSource:
     gait = Obstacles(
       ahead + uniform(_STEP_DISTANCE), uniform(_STEP_RISE), np.zeros(count)
     )
-    width = uniform(_GAP_WIDTH)
+    width = uniform((_GAP_WIDTH[0], self._widest[modes]))
     cycle = np.maximum(random_state.randint(2, size=count), ahead > 0)
     middle = self._flights[modes] + cycle * self._lengths[modes]
     level = random_state.uniform(size=count) < _LEVEL_SHARE
@@ -105,12 +109,13 @@ class ObstacleSource:
     )
 
 
-def _flight_middle(motion: reference.ReferenceMotion) -> float:
-  """Where, in metres ahead of the anchor, a flight is half over; else nan."""
+def _flight(motion: reference.ReferenceMotion) -> tuple[float, float]:
+  """From where to where it flies, metres ahead of the anchor; else nan."""
   if motion.contacts is None:
-    return np.nan
+    return np.nan, np.nan
   airborne = np.flatnonzero(~motion.contacts.any(axis=1))
   if not len(airborne):
-    return np.nan
+    return np.nan, np.nan
   last = min(airborne[-1] + 1, len(motion.phases) - 1)
-  return float(motion.positions[[airborne[0], last], 0].mean())
+  begin, end = motion.positions[[airborne[0], last], 0]
+  return float(begin), float(end)

@@ -94,31 +94,36 @@ class FlightTest(_Case):
   and again after cycles of 0.6 and 0.36 m.
   """
 
-  def _middles(self, drawn: obstacles.Obstacles) -> np.ndarray:
-    self.assert_spread(drawn.gap, 0.1, 0.45)
+  def _middles(
+    self, drawn: obstacles.Obstacles, widest: float = 0.45
+  ) -> np.ndarray:
+    self.assert_spread(drawn.gap, 0.1, widest)
     level = drawn.height == 0
     self.assertAlmostEqual(float(np.mean(level)), 0.5, delta=0.03)
     self.assert_spread(drawn.height[~level], -0.15, 0.1)
     return drawn.edge - drawn.gap / 2
 
-  @parameterized.parameters(('leap_forward', 0.6), ('hop_forward', 0.36))
+  @parameterized.parameters(
+    ('leap_forward', 0.6, 0.45), ('hop_forward', 0.36, 1.4 * 0.12)
+  )
   def test_under_the_first_flight_or_the_second(
-    self, name: str, cycle: float
+    self, name: str, cycle: float, widest: float
   ) -> None:
-    middle = self._middles(_draw(name))
+    middle = self._middles(_draw(name), widest)
     second = middle > 0.3 + cycle / 2
     self.assertAlmostEqual(float(np.mean(second)), 0.5, delta=0.03)
     self.assert_spread(middle[~second], 0.24, 0.36)
     self.assert_spread(middle[second], 0.24 + cycle, 0.36 + cycle)
 
   @parameterized.product(
-    mode=(('leap_forward', 0.9), ('hop_forward', 0.66)), ahead=(1e-6, 0.2)
+    mode=(('leap_forward', 0.9, 0.45), ('hop_forward', 0.66, 0.168)),
+    ahead=(1e-6, 0.2),
   )
   def test_under_the_second_where_the_first_has_begun(
-    self, mode: tuple[str, float], ahead: float
+    self, mode: tuple[str, float, float], ahead: float
   ) -> None:
-    name, expected = mode
-    middle = self._middles(_draw(name, ahead))
+    name, expected, widest = mode
+    middle = self._middles(_draw(name, ahead), widest)
     self.assert_spread(middle, expected - 0.06, expected + 0.06)
 
   def test_user_s_mode(self) -> None:
