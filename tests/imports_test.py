@@ -47,7 +47,10 @@ _LATE = {f'{_PACKAGE}.suite.reaching_env': {'pretrained'}}
 _FOREIGN = {
   'modes': (
     {'torch'},
-    {f'{_PACKAGE}.modes.encoder', f'{_PACKAGE}.modes.autoencoder'},
+    {
+      f'{_PACKAGE}.modes.{name}'
+      for name in ('autoencoder', 'encoder', 'extension')
+    },
   ),
   'suite': ({'torch'}, set[str]()),
 }

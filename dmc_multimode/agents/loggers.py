@@ -1,15 +1,18 @@
 """Loggers: each writes a dictionary of numbers; the dispatcher fans out."""
 
+import contextlib
 import csv
 import io
 import pathlib
-from typing import Mapping, Protocol, Sequence
+import secrets
+from typing import Any, Iterator, Mapping, Protocol, Sequence
 
 import tqdm
 
 from dmc_multimode import atomic
 
 Values = Mapping[str, float]
+_MAX_CHARACTERS = 1 << 30  # Of a CSV file; a longer one is none of ours.
 
 
 class Logger(Protocol):
@@ -36,8 +39,9 @@ class Dispatcher:
 
   def close(self) -> None:
     """See `Logger`."""
-    for logger in self._loggers:
-      logger.close()
+    with contextlib.ExitStack() as stack:  # All of them, whatever they raise.
+      for logger in reversed(self._loggers):
+        stack.callback(logger.close)
 
 
 class CSVLogger:
@@ -46,6 +50,7 @@ class CSVLogger:
   def __init__(self, path: pathlib.Path, resume_from: float = 0.0):
     """Opens `path`; rows beyond `resume_from` steps are dropped first."""
     rows = _rows_until(path, resume_from)
+    self._path = path
     self._fields = list(rows[0]) if rows else None
     text = io.StringIO()
     if self._fields:
@@ -64,20 +69,48 @@ class CSVLogger:
     writer.writerow(
       {k: f'{v:.6g}' if k != 'steps' else int(v) for k, v in values.items()}
     )
-    self._file.flush()
+    with self._named_errors():
+      self._file.flush()
 
   def close(self) -> None:
     """See `Logger`."""
-    self._file.close()
+    with self._named_errors():
+      self._file.close()
+
+  @contextlib.contextmanager
+  def _named_errors(self) -> Iterator[None]:
+    """Says which file it is that cannot be written."""
+    try:
+      yield
+    except OSError as error:
+      raise OSError(error.errno, error.strerror, str(self._path)) from error
 
 
 def _rows_until(path: pathlib.Path, steps: float) -> list[dict[str, str]]:
-  """Reads the rows of an interrupted run up to its checkpoint."""
+  """Reads the rows of an interrupted run up to its checkpoint.
+
+  Raises:
+    ValueError: the file is not one that `CSVLogger` has written.
+  """
   if not path.exists() or steps <= 0:
     return []
-  with open(path, newline='', encoding='utf-8') as file:
-    rows = list(csv.DictReader(file))
-  return [row for row in rows if float(row.get('steps') or 'inf') <= steps]
+  try:
+    with open(path, newline='', encoding='utf-8') as file:
+      text = file.read(_MAX_CHARACTERS + 1)
+    if len(text) > _MAX_CHARACTERS:
+      raise ValueError('it is too large')
+    # A full disk or a killed process may have cut the last row off.
+    whole = text[: text.rfind('\n') + 1]
+    rows = list(csv.DictReader(io.StringIO(whole, newline='')))
+    kept = [r for r in rows if float(r.get('steps') or 'inf') <= steps]
+    if any(None in row or None in row.values() for row in kept):
+      raise ValueError('a row is not as long as the first')
+  except (csv.Error, ValueError) as error:
+    raise ValueError(
+      f'{path} does not hold the metrics of a run ({error}): move it away to '
+      'go on without what was logged.'
+    ) from error
+  return kept
 
 
 class TensorBoardLogger:
@@ -97,10 +130,71 @@ class TensorBoardLogger:
     for key, value in values.items():
       if key != 'steps':
         self._writer.add_scalar(key, value, int(values['steps']))
+    self._writer.flush()  # Else two minutes may be lost with the process.
 
   def close(self) -> None:
     """See `Logger`."""
     self._writer.close()
+
+
+def check_wandb() -> None:
+  """Raises ModuleNotFoundError where Weights and Biases is not installed."""
+  try:
+    import wandb  # noqa: F401
+  except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(
+      f'{error}; logging to Weights and Biases takes the extra `wandb`: pip '
+      "install 'dmc_multimode[wandb]'."
+    ) from error
+
+
+class WandbLogger:
+  """Writes to a project of Weights and Biases; takes the extra `wandb`.
+
+  Where to, and whether at all, its own variables say: `WANDB_MODE=offline`
+  writes below the run's folder and nowhere else.
+  """
+
+  _ID_FILE = 'wandb_id'  # By which a run that goes on is found again.
+
+  def __init__(
+    self, directory: pathlib.Path, project: str, config: Mapping[str, Any]
+  ):
+    """Begins a run there, or goes on with the one that `directory` has begun.
+
+    Args:
+      directory: of the training.
+      project: its name.
+      config: what decides the training's result, JSON-able.
+
+    Raises:
+      ModuleNotFoundError: Weights and Biases is not installed.
+    """
+    check_wandb()
+    import wandb
+
+    path = directory / self._ID_FILE
+    if not path.exists():
+      atomic.write(path, secrets.token_hex(8).encode())
+    self._run = wandb.init(
+      project=project,
+      id=path.read_text(encoding='utf-8'),
+      name=directory.name,
+      dir=str(directory),
+      config=dict(config),
+      resume='allow',
+    )
+    # By itself the abscissa would be the number of rows; and steps that come
+    # twice, in a run that goes on from a checkpoint, would be dropped.
+    self._run.define_metric('*', step_metric='steps')
+
+  def write(self, values: Values) -> None:
+    """See `Logger`."""
+    self._run.log(dict(values))
+
+  def close(self) -> None:
+    """See `Logger`."""
+    self._run.finish()
 
 
 class ProgressLogger:

@@ -31,7 +31,7 @@ def define(config: Any, prefix: str) -> None:
 
 
 def read(config: Any, prefix: str) -> Any:
-  """Returns `config` with the values that its flags have now.
+  """Returns `config` with the values of those of its flags that were given.
 
   Raises:
     ValueError: a list holds something that is no integer, or the configuration
@@ -42,6 +42,8 @@ def read(config: Any, prefix: str) -> Any:
     name = f'{prefix}_{field}'
     if _is_named_tuple(value):
       changes[field] = read(value, name)
+    elif not FLAGS[name].present:
+      continue
     elif isinstance(value, tuple):
       changes[field] = _integers(name)
     else:

@@ -10,8 +10,10 @@ import torch
 from dmc_multimode import atomic
 from dmc_multimode.agents import distributed
 from dmc_multimode.agents import training
+from dmc_multimode.agents.ppo import anchoring
 from dmc_multimode.agents.ppo import builder as builder_lib
 from dmc_multimode.agents.ppo import config as ppo_config
+from dmc_multimode.agents.ppo import learning
 from dmc_multimode.agents.ppo import networks
 from dmc_multimode.agents.ppo import symmetry
 from dmc_multimode.arenas import track
@@ -26,6 +28,8 @@ from dmc_multimode.suite import episodes
 from dmc_multimode.suite import multimode_biped
 
 CONFIG_FILE = 'config.json'
+ENCODER = 'encoder'  # The folder of a run's mode encoder.
+INITIAL = 'initial'  # The folder of the policy that a run has begun with.
 _FLAT_SEGMENTS = 2  # The ground and the step of at most one command.
 _OBSTACLE_SEGMENTS = 3  # The ground and what each of two commands may meet.
 
@@ -43,6 +47,9 @@ class RunConfig:
     threads: of the physics and of torch, in each process; part of
       bit-reproducibility.
     one_hot: one-hot commands instead of an encoder's latents.
+    init_from: the policy that it begins with, as its user has named it; empty
+      for none.
+    init_modes: the modes that this policy knows, comma-separated.
     ppo: of the learner.
     sampling: of Algorithm 1.
     task: of the imitation task.
@@ -53,6 +60,8 @@ class RunConfig:
   num_worlds: int = 1024
   threads: int = 2
   one_hot: bool = False
+  init_from: str = ''
+  init_modes: str = ''
   ppo: ppo_config.PPOConfig = ppo_config.PPOConfig(symmetry='alternate')
   sampling: sampling_lib.SamplingConfig = sampling_lib.SamplingConfig()
   task: task_config.ImitationConfig = task_config.ImitationConfig(
@@ -161,6 +170,20 @@ def load_run(directory: pathlib.Path) -> Ingredients:
     raise ValueError(f'{path} is damaged: {error}') from error
 
 
+def load_initial(
+  directory: pathlib.Path, config: RunConfig
+) -> policy_lib.Policy | None:
+  """Reads the policy that the run in a folder has begun with, if any.
+
+  Raises:
+    FileNotFoundError: the run lacks it.
+    ValueError: it is damaged.
+  """
+  if not config.init_from:
+    return None
+  return policy_lib.load(directory / INITIAL)
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Run:
   """The parts of a run, connected.
@@ -170,19 +193,23 @@ class Run:
     environment: the worlds.
     network: what is learned.
     loop: collects and learns.
+    initial: the policy that it has begun with, if any.
   """
 
   config: RunConfig
   environment: batched.BatchedImitation
   network: networks.ActorCritic
   loop: training.TrainingLoop
+  initial: policy_lib.Policy | None = None
 
   def policy(self) -> policy_lib.Policy:
     """Returns the policy as it is now."""
-    provenance = {
+    provenance: dict[str, Any] = {
       'steps': self.loop.steps,
       'run': to_dict(self.config),
     }
+    if self.initial:
+      provenance['initial'] = dict(self.initial.provenance)
     return policy_lib.Policy(
       self.network,
       self.config.ppo.hidden_sizes,
@@ -199,6 +226,7 @@ def build(
   codebook: codebook_lib.Codebook,
   communicator: distributed.Communicator = distributed.LOCAL,
   device: torch.device | str = 'cpu',
+  initial: policy_lib.Policy | None = None,
 ) -> Run:
   """Connects environment, agent and loop; nothing is trained yet.
 
@@ -208,9 +236,44 @@ def build(
     codebook: their latents.
     communicator: of the ranks, each of which builds its own part.
     device: on which the network is, and learns.
+    initial: whose weights the network begins with, if any; only rank 0's
+      matters.
   """
   # The learner fits two networks at once, each with its share of the threads.
   torch.set_num_threads(max(config.threads // 2, 1))
+  environment = _make_environment(config, motions, codebook, communicator)
+  builder = builder_lib.PPOBuilder(
+    config.ppo, config.seed, communicator, device
+  )
+  network = builder.make_networks(
+    environment.observation_spec(),
+    environment.action_spec(),
+    environment.standing_action(),
+    environment.privileged_size,
+    initial.network.state_dict() if initial else None,
+  )
+  loop = training.TrainingLoop(
+    environment,
+    builder.make_actor(network),
+    _make_learner(config, environment, builder, network, device),
+    config.ppo.rollout_length,
+    codebook.names,
+    lambda: {
+      **environment.episodes.probabilities(),
+      'assistance': environment.assistance.share,
+    },
+    communicator,
+  )
+  return Run(config, environment, network, loop, initial)
+
+
+def _make_environment(
+  config: RunConfig,
+  motions: tuple[reference.ReferenceMotion, ...],
+  codebook: codebook_lib.Codebook,
+  communicator: distributed.Communicator,
+) -> batched.BatchedImitation:
+  """Returns this rank's worlds, in which Algorithm 1 chooses the episodes."""
   bank = reference.ReferenceBank(motions)
   task = multimode_biped.make_task(
     motions,
@@ -223,7 +286,7 @@ def build(
     ),
     config.task,
   )
-  environment = batched.BatchedImitation(
+  return batched.BatchedImitation(
     task,
     config.num_worlds // communicator.size,
     distributed.rank_seed(config.seed, communicator.rank),
@@ -231,36 +294,29 @@ def build(
     privileged=config.ppo.privileged_critic,
     replicas=communicator.size,
   )
-  builder = builder_lib.PPOBuilder(
-    config.ppo, config.seed, communicator, device
-  )
-  network = builder.make_networks(
-    environment.observation_spec(),
-    environment.action_spec(),
-    environment.standing_action(),
-    environment.privileged_size,
-  )
-  mirror = None
+
+
+def _make_learner(
+  config: RunConfig,
+  environment: batched.BatchedImitation,
+  builder: builder_lib.PPOBuilder,
+  network: networks.ActorCritic,
+  device: torch.device | str,
+) -> learning.PPOLearner:
+  """Returns what learns from the environment's worlds."""
+  names, latents = environment.codebook.names, environment.codebook.latents
+  commands = symmetry.Commands(latents, device=device)
+  mirror, anchor = None, None
   if config.ppo.symmetry != 'none':
-    mirror = symmetry.Mirror(
-      environment.mirror_image(), codebook.latents, device
-    )
-  loop = training.TrainingLoop(
-    environment,
-    builder.make_actor(network),
-    builder.make_learner(
-      network,
-      mirror,
-      symmetry.Commands(codebook.latents, device=device),
-      # A GPU gains nothing, and NCCL's operations must not cross.
-      parallel=config.threads > 1 and torch.device(device).type == 'cpu',
-    ),
-    config.ppo.rollout_length,
-    codebook.names,
-    lambda: {
-      **environment.episodes.probabilities(),
-      'assistance': environment.assistance.share,
-    },
-    communicator,
+    mirror = symmetry.Mirror(environment.mirror_image(), latents, device)
+  if config.init_from and config.ppo.anchor_weight:
+    known = config.init_modes.split(',')
+    anchor = anchoring.Anchor(network, commands, [n in known for n in names])
+  return builder.make_learner(
+    network,
+    mirror,
+    commands,
+    # A GPU gains nothing, and NCCL's operations must not cross.
+    parallel=config.threads > 1 and torch.device(device).type == 'cpu',
+    anchor=anchor,
   )
-  return Run(config, environment, network, loop)

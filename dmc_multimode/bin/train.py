@@ -7,10 +7,16 @@ Every field of the configurations is a flag: --ppo_*, --sampling_*, --task_*.
 Ctrl-C stops after the current iteration, with a checkpoint; --resume goes on
 from the last checkpoint as if nothing had happened.
 
+    python -m dmc_multimode.bin.train --init_from=pi2 \
+      --mode_file=docs/squat.yaml --steps=4000000 --run_dir=runs/squat
+
+begins with a policy, which gains modes: see docs/ADD_A_MODE.md.
+
 Under `torchrun` in place of `python`, several processes train one policy, each
 in its share of the worlds: see docs/SCALING.md.
 """
 
+import dataclasses
 import functools
 import json
 import pathlib
@@ -26,6 +32,7 @@ from dmc_multimode.agents import loggers
 from dmc_multimode.agents import training
 from dmc_multimode.bin import app
 from dmc_multimode.bin import config_flags
+from dmc_multimode.bin import fine_tuning
 from dmc_multimode.bin import launches
 from dmc_multimode.bin import ranks
 from dmc_multimode.bin import run_setup
@@ -34,6 +41,7 @@ from dmc_multimode.modes import encoder as encoder_lib
 from dmc_multimode.modes import files
 from dmc_multimode.modes import library
 from dmc_multimode.modes import reference
+from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.suite import mirror
 
 _DEFAULTS = run_setup.RunConfig()
@@ -41,14 +49,26 @@ _RUN_DIR = flags.DEFINE_string(
   'run_dir', None, 'Where the run lives.', required=True
 )
 _RESUME = flags.DEFINE_bool('resume', False, 'Go on with the run in --run_dir.')
+_INIT_FROM = flags.DEFINE_string(
+  'init_from',
+  _DEFAULTS.init_from,
+  'A policy to begin with, shipped or a folder; its task and network become '
+  'defaults.',
+)
 _MODE_FILE = flags.DEFINE_string(
   'mode_file', None, 'YAML or JSON file of further modes.'
 )
 _ENCODER = flags.DEFINE_string(
-  'encoder', None, 'Folder of a trained encoder; trained first if not given.'
+  'encoder',
+  None,
+  'Folder of a trained encoder; trained first if not given. With --init_from '
+  'that of the policy, by default the one that is beside it.',
 )
 _MODES = flags.DEFINE_string(
-  'modes', _DEFAULTS.modes, 'Name of a mode set, or comma-separated modes.'
+  'modes',
+  _DEFAULTS.modes,
+  'Name of a mode set, or comma-separated modes. With --init_from by default '
+  'those of the policy and of --mode_file.',
 )
 _SEED = flags.DEFINE_integer('seed', _DEFAULTS.seed, 'Of all randomness.')
 _NUM_WORLDS = flags.DEFINE_integer(
@@ -67,6 +87,9 @@ _DEVICE = flags.DEFINE_enum(
 _ONE_HOT = flags.DEFINE_bool(
   'one_hot', _DEFAULTS.one_hot, 'One-hot commands instead of latents.'
 )
+_WANDB_PROJECT = flags.DEFINE_string(
+  'wandb_project', None, 'Also log to this project of Weights and Biases.'
+)
 _LENGTH = training.TrainingConfig()
 _STEPS = flags.DEFINE_integer('steps', _LENGTH.steps, 'Control steps in all.')
 _MINUTES = flags.DEFINE_float(
@@ -77,36 +100,54 @@ _KEEP_EVERY = flags.DEFINE_integer(
   _LENGTH.keep_every,
   'Control steps between policies kept in RUN_DIR/policies; 0: none.',
 )
-for _part in ('ppo', 'sampling', 'task'):
+# Fields of `RunConfig`: those that are one flag, and those of many fields, each
+# of which is one.
+_SIMPLE = ('modes', 'seed', 'num_worlds', 'threads', 'one_hot', 'init_from')
+_PARTS = ('ppo', 'sampling', 'task')
+for _part in _PARTS:
   config_flags.define(getattr(_DEFAULTS, _part), _part)
 
 
-def _config_from_flags() -> run_setup.RunConfig:
-  parts: dict[str, Any] = {
-    part: config_flags.read(getattr(_DEFAULTS, part), part)
-    for part in ('ppo', 'sampling', 'task')
+def _with_flags(config: run_setup.RunConfig) -> run_setup.RunConfig:
+  """Returns a configuration with what the flags that were given say."""
+  given: dict[str, Any] = {
+    part: config_flags.read(getattr(config, part), part) for part in _PARTS
   }
-  return run_setup.RunConfig(
-    modes=_MODES.value,
-    seed=_SEED.value,
-    num_worlds=_NUM_WORLDS.value,
-    threads=int(_THREADS.value),
-    one_hot=_ONE_HOT.value,
-    **parts,
-  )
+  for name in _SIMPLE:
+    if flags.FLAGS[name].present:
+      given[name] = flags.FLAGS[name].value
+  return dataclasses.replace(config, **given)
+
+
+def _configure(
+  start: fine_tuning.Start | None,
+) -> tuple[run_setup.RunConfig, tuple[reference.ReferenceMotion, ...]]:
+  """Returns configuration and modes of a new run, as the flags say."""
+  extra = files.load(_MODE_FILE.value) if _MODE_FILE.value else ()
+  defaults = _DEFAULTS
+  if start:
+    spec = _MODES.value if flags.FLAGS['modes'].present else None
+    motions = start.modes(spec, extra)
+    defaults = start.config(motions, _STEPS.value)
+  config = _with_flags(dataclasses.replace(defaults, threads=_THREADS.value))
+  if start:
+    start.check(config)
+    return config, motions
+  return config, library.resolve(config.modes, extra)
 
 
 def _begin(directory: pathlib.Path, size: int) -> run_setup.Ingredients:
   """Checks everything, then makes the folder and the encoder of a new run."""
-  config = _config_from_flags()
+  start = None
+  if _INIT_FROM.value:
+    start = fine_tuning.load(_INIT_FROM.value, _ENCODER.value)
+  config, motions = _configure(start)
   run_setup.check_ranks(config, size)
-  extra = files.load(_MODE_FILE.value) if _MODE_FILE.value else ()
-  motions = library.resolve(config.modes, extra)
   codebook = codebook_lib.one_hot(motions)
   if config.ppo.symmetry != 'none':
     mirror.mirror_image(motions, codebook)  # Raises where there is none.
   encoder = None
-  if _ENCODER.value and not config.one_hot:
+  if _ENCODER.value and not start and not config.one_hot:
     encoder = encoder_lib.load(_ENCODER.value)
     encoder.codebook().subset(codebook.names)
   if (directory / run_setup.CONFIG_FILE).exists() or checkpointing.Checkpointer(
@@ -115,12 +156,18 @@ def _begin(directory: pathlib.Path, size: int) -> run_setup.Ingredients:
     raise ValueError(
       f'{directory} already holds a run: add --resume, or name another folder.'
     )
+  if start:
+    print('Extending the mode encoder.', flush=True)
+    encoder, codebook = start.encode(motions)
   directory.mkdir(parents=True, exist_ok=True)
-  if config.one_hot:
-    return config, motions, codebook
-  encoder = encoder or _train_encoder(motions, config.seed)
-  encoder.save(directory / 'encoder')
-  return config, motions, encoder.codebook().subset(codebook.names)
+  if start:
+    start.policy.save(directory / run_setup.INITIAL)
+  elif not config.one_hot:
+    encoder = encoder or _train_encoder(motions, config.seed)
+    codebook = encoder.codebook().subset(codebook.names)
+  if encoder:
+    encoder.save(directory / run_setup.ENCODER)
+  return config, motions, codebook
 
 
 def _train_encoder(
@@ -136,34 +183,27 @@ def _train_encoder(
 def _continue(directory: pathlib.Path, size: int) -> run_setup.Ingredients:
   """Reads a run back; flags that contradict it are an error."""
   config, motions, codebook = run_setup.load_run(directory)
-  wanted = run_setup.to_dict(_config_from_flags())
   stored = run_setup.to_dict(config)
-  simple = ('modes', 'seed', 'num_worlds', 'threads', 'one_hot')
-  different = [
-    name
-    for name in simple
-    if flags.FLAGS[name].present and wanted[name] != stored[name]
-  ]
-  for part in ('ppo', 'sampling', 'task'):
-    if config_flags.overrides(getattr(_DEFAULTS, part), part):
-      different += [part] if wanted[part] != stored[part] else []
-  if different:
-    raise ValueError(
-      f'The run in {directory} has another {different[0]} than these flags '
-      'say: leave them out to resume it, or name another folder.'
-    )
+  wanted = run_setup.to_dict(_with_flags(config))
+  for name, value in wanted.items():
+    if value != stored[name]:
+      raise ValueError(
+        f'The run in {directory} has another {name} than these flags say: '
+        'leave them out to resume it, or name another folder.'
+      )
   run_setup.check_ranks(config, size)
   return config, motions, codebook
 
 
 class _Opened(NamedTuple):
-  """A run that begins or goes on; its checkpoint is known to rank 0 alone."""
+  """A run that begins or goes on; rank 0 alone knows all of it."""
 
   ingredients: run_setup.Ingredients
-  is_new: bool
   has_checkpoint: bool
-  tensors: Mapping[str, torch.Tensor]
-  values: Mapping[str, Any]
+  is_new: bool = False
+  initial: policy_lib.Policy | None = None
+  tensors: Mapping[str, torch.Tensor] = {}
+  values: Mapping[str, Any] = {}
 
 
 def _open(
@@ -173,16 +213,21 @@ def _open(
   opened = []
 
   def at_first() -> str:
+    if _WANDB_PROJECT.value:
+      loggers.check_wandb()
     is_new = not (_RESUME.value or launches.is_restart(directory))
     prepare = _begin if is_new else _continue
     ingredients = prepare(directory, communicator.size)
+    initial = run_setup.load_initial(directory, ingredients[0])
     tensors: Mapping[str, torch.Tensor] = {}
     values: Mapping[str, Any] = {}
     checkpointer = checkpointing.Checkpointer(directory)
     if checkpointer.exists():
       tensors, values, note = checkpointer.load()
       print(note or f'Resuming at {values["steps"]:,} steps.', flush=True)
-    opened.append(_Opened(ingredients, is_new, bool(values), tensors, values))
+    opened.append(
+      _Opened(ingredients, bool(values), is_new, initial, tensors, values)
+    )
     return json.dumps([bool(values), run_setup.describe(*ingredients)])
 
   has_checkpoint, text = json.loads(
@@ -190,7 +235,7 @@ def _open(
   )
   if opened:
     return opened[0]
-  return _Opened(run_setup.parse(text), False, has_checkpoint, {}, {})
+  return _Opened(run_setup.parse(text), has_checkpoint)
 
 
 class _Stop:
@@ -211,14 +256,22 @@ class _Stop:
     return self.asked
 
 
-def _make_logger(directory: pathlib.Path, steps: int) -> loggers.Dispatcher:
-  return loggers.Dispatcher(
-    [
-      loggers.ProgressLogger(_STEPS.value, steps),
-      loggers.CSVLogger(directory / 'metrics.csv', steps),
-      loggers.TensorBoardLogger(directory / 'tensorboard', steps),
-    ]
-  )
+def _make_logger(
+  directory: pathlib.Path, run: run_setup.Run
+) -> loggers.Dispatcher:
+  steps = run.loop.steps
+  parts: list[loggers.Logger] = [
+    loggers.ProgressLogger(_STEPS.value, steps),
+    loggers.CSVLogger(directory / 'metrics.csv', steps),
+    loggers.TensorBoardLogger(directory / 'tensorboard', steps),
+  ]
+  if _WANDB_PROJECT.value:
+    parts.append(
+      loggers.WandbLogger(
+        directory, _WANDB_PROJECT.value, run_setup.to_dict(run.config)
+      )
+    )
+  return loggers.Dispatcher(parts)
 
 
 def _build(
@@ -228,7 +281,9 @@ def _build(
 ) -> run_setup.Run:
   """Builds this rank's part of a new run, or of one that goes on."""
   opened = _open(directory, communicator)
-  run = run_setup.build(*opened.ingredients, communicator, device)
+  run = run_setup.build(
+    *opened.ingredients, communicator, device, opened.initial
+  )
   if opened.is_new:
     launches.note(directory)
     run_setup.save_run(directory, *opened.ingredients)
@@ -264,7 +319,7 @@ def _train(
   stop = _Stop()
   logger = loggers.Dispatcher([])
   if is_first:
-    logger = _make_logger(directory, run.loop.steps)
+    logger = _make_logger(directory, run)
   try:
     run.loop.run(length, logger, save, stop, keep)
   finally:

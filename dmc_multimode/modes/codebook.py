@@ -112,5 +112,12 @@ def load(path: pathlib.Path) -> Codebook:
   try:
     rows = json.loads(path.read_text(encoding='utf-8'))['latents']
     return Codebook(tuple(rows), np.array(list(rows.values()), np.float32))
-  except (KeyError, TypeError, ValueError, AttributeError) as error:
+  except (
+    AttributeError,
+    KeyError,
+    OverflowError,
+    RecursionError,
+    TypeError,
+    ValueError,
+  ) as error:
     raise ValueError(f'{path} is not a codebook: {error}') from error

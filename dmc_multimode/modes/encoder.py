@@ -44,10 +44,11 @@ _FORMAT = 'dmc_multimode.mode_encoder.v1'
 _ADVICE = 'train one with `python -m dmc_multimode.bin.train_encoder`.'
 _MIN_SCALE = 1e-6  # A feature or latent that varies less is constant.
 _CONSTANT_FEATURE_SCALE = 0.1  # Metres: a constant one has to be met, too.
-_SAFETY = 0.98  # Share of a tolerance to reach, for other machines' rounding.
-_HINGE = 1.6  # Modes repel up to this multiple of the minimum separation.
-_MAX_GRADIENT_NORM = 1.0
+SAFETY = 0.98  # Share of a tolerance to reach, for other machines' rounding.
+HINGE = 1.6  # Modes repel up to this multiple of the minimum separation.
+MAX_GRADIENT_NORM = 1.0
 _MAX_UNITS = 1024  # So that a foreign file cannot ask for all memory.
+_MAX_BYTES = 64 << 20  # Larger files are none of ours.
 
 
 class ConvergenceError(ValueError):
@@ -237,6 +238,8 @@ def digest(weights: bytes) -> str:
 def _read(path: pathlib.Path) -> bytes:
   """Returns a file's content; raises ValueError where there is none."""
   try:
+    if path.stat().st_size > _MAX_BYTES:
+      raise ValueError(f'{path}: too large for a mode encoder; {_ADVICE}')
     return path.read_bytes()
   except OSError as error:
     raise ValueError(
@@ -273,12 +276,18 @@ def _network(
 ) -> autoencoder.Autoencoder:
   """Returns the network that `weights` hold; raises ValueError."""
   network = _build(config)
-  expected = {k: tuple(v.shape) for k, v in network.state_dict().items()}
+  kind = lambda value: (value.dtype, tuple(value.shape))
+  expected = {k: kind(v) for k, v in network.state_dict().items()}
   try:
     state = safetensors.torch.load(weights)
-  except safetensors.SafetensorError as error:
+  except (
+    safetensors.SafetensorError,
+    AttributeError,  # A type of numbers that this torch does not know.
+    KeyError,
+    RuntimeError,
+  ) as error:
     raise ValueError(f'{path}: not safetensors ({error}); {_ADVICE}') from None
-  if {k: tuple(v.shape) for k, v in state.items()} != expected:
+  if {k: kind(v) for k, v in state.items()} != expected:
     raise ValueError(
       f'{path}: its tensors do not fit the config in {CONFIG_FILE}; {_ADVICE}'
     )
@@ -313,7 +322,7 @@ def train(
       written to a file.
     ConvergenceError: `max_epochs` passed without meeting the tolerances.
   """
-  _check_set(motions, config)
+  check_set(motions, config)
   batch = autoencoder.Batch(motions, config.use_contacts)
   network = _build(config)
   _set_feature_statistics(network, batch)
@@ -327,7 +336,7 @@ def train(
       return ModeEncoder(config, tuple(motions), network.requires_grad_(False))
     optimizer.zero_grad()
     loss.backward()
-    nn.utils.clip_grad_norm_(network.parameters(), _MAX_GRADIENT_NORM)
+    nn.utils.clip_grad_norm_(network.parameters(), MAX_GRADIENT_NORM)
     optimizer.step()
   raise ConvergenceError(
     f'The encoder did not converge in {config.max_epochs} epochs: worst RMSE '
@@ -337,7 +346,7 @@ def train(
   )
 
 
-def _check_set(
+def check_set(
   motions: Sequence[reference.ReferenceMotion], config: EncoderConfig
 ) -> None:
   """Raises ValueError for a set that cannot be encoded, or not be saved."""
@@ -410,10 +419,10 @@ def _evaluate(
     return loss, rmse, 1.0
   distances = torch.pdist(latents)
   relative = distances / distances.mean()
-  hinge = torch.relu(_HINGE * config.min_separation - relative)
+  hinge = torch.relu(HINGE * config.min_separation - relative)
   return loss + hinge.square().sum(), rmse, relative.min().item()
 
 
 def _converged(report: Progress, config: EncoderConfig) -> bool:
-  precise = report.worst_rmse < _SAFETY * config.max_rmse
-  return precise and report.separation * _SAFETY > config.min_separation
+  precise = report.worst_rmse < SAFETY * config.max_rmse
+  return precise and report.separation * SAFETY > config.min_separation

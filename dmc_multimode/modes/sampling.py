@@ -19,6 +19,9 @@ class SamplingConfig:
       step with one foot at a time, are drawn more often than Algorithm 1 would:
       who learns to bound on both feet first walks so as well.
     gait_share: how often, until then, a drawn mode is replaced by a gait.
+    focus: names of modes, comma-separated, that are drawn more often likewise.
+    focus_steps: control steps of all worlds together for which they are.
+    focus_share: how often, until then, a drawn mode is replaced by one of them.
   """
 
   adaptive: bool = True
@@ -27,6 +30,9 @@ class SamplingConfig:
   epsilon: float = 0.2
   gait_steps: int = 0
   gait_share: float = 0.7
+  focus: str = ''
+  focus_steps: int = 0
+  focus_share: float = 0.5
 
   def __post_init__(self) -> None:
     for name in ('gamma_initial', 'gamma_final'):
@@ -36,12 +42,21 @@ class SamplingConfig:
         )
     if not self.epsilon >= 0:
       raise ValueError(f'epsilon must not be negative, got {self.epsilon}.')
-    if self.gait_steps < 0:
-      raise ValueError(
-        f'gait_steps must not be negative, got {self.gait_steps}.'
-      )
-    if not 0 <= self.gait_share <= 1:
-      raise ValueError(f'gait_share must be in [0, 1], got {self.gait_share}.')
+    for name in ('gait_steps', 'focus_steps'):
+      if getattr(self, name) < 0:
+        raise ValueError(
+          f'{name} must not be negative, got {getattr(self, name)}.'
+        )
+    for name in ('gait_share', 'focus_share'):
+      if not 0 <= getattr(self, name) <= 1:
+        raise ValueError(
+          f'{name} must be in [0, 1], got {getattr(self, name)}.'
+        )
+
+  @property
+  def focused(self) -> tuple[str, ...]:
+    """The names in `focus`."""
+    return tuple(name.strip() for name in self.focus.split(',') if name.strip())
 
 
 def returns_to_probabilities(returns: np.ndarray, epsilon: float) -> np.ndarray:

@@ -2,9 +2,10 @@
 
 The reward asks for the trunk alone, and a shuffle on both feet may be paid as
 well as a walk. What a mode promises follows from its reference: one that stands
-stays where it is; a gait keeps its speed and its height and, where the
-reference's feet alternate, sets them down in turns; a bounding mode rises and
-flies in every cycle; a jump onto a block ends on it.
+stays where it is; a gait keeps its speed and its height, or rises in every
+cycle where the reference does, and sets its feet down in turns where those of
+the reference alternate; a bounding mode rises and flies in every cycle; a jump
+onto a block ends on it.
 """
 
 from typing import Callable, NamedTuple, Sequence
@@ -109,7 +110,10 @@ def _of_gaits(motion: reference.ReferenceMotion) -> tuple[Promise, ...]:
     result.append(
       Promise('turn_rate', rate - slack, rate + slack, body.turn_rate)
     )
-  if not np.ptp(motion.positions[:, 2]):
+  rise = float(np.ptp(motion.positions[:, 2]))
+  if rise:
+    result.append(Promise('rise', _RISE * rise, np.inf, body.rise))
+  else:
     result.append(Promise('bob', -np.inf, _BOB, body.bob))
   contacts = [] if motion.contacts is None else motion.contacts.tolist()
   if [1, 0] in contacts and [0, 1] in contacts:

@@ -54,7 +54,7 @@ class EpisodeInitialiser(Protocol):
 class TransitionEpisodes:
   """Algorithm 1: an initial mode, a switch at a phase, a final mode.
 
-  Gaits may be practised more at first: see `SamplingConfig`.
+  Some modes may be practised more at first: see `SamplingConfig`.
   """
 
   max_knots = 2
@@ -65,10 +65,17 @@ class TransitionEpisodes:
     config: sampling.SamplingConfig | None = None,
     steps_from_ground: bool = True,
   ):
-    """Samples over the modes of `bank`; see `schedule.transitions`."""
+    """Samples over the modes of `bank`; see `schedule.transitions`.
+
+    Raises:
+      ValueError: a mode that is to be practised more is none of these.
+    """
     self._bank, self._config = bank, config or sampling.SamplingConfig()
     self._steps_from_ground = steps_from_ground
     self._gaits = np.flatnonzero(bank.gaits)
+    self._focused = np.array(
+      [bank.index(name) for name in self._config.focused], dtype=np.int64
+    )
     self._steps = 0
     self.sampler = sampling.ModeSampler(len(bank), self._config)
 
@@ -77,17 +84,26 @@ class TransitionEpisodes:
   ) -> Episodes:
     """See `EpisodeInitialiser`."""
     initial, final = self.sampler.sample(len(ids), random_state)
-    if len(self._gaits) and self._steps < self._config.gait_steps:
-      shape = (2, len(ids))
-      swap = random_state.uniform(size=shape) < self._config.gait_share
-      gaits = random_state.choice(self._gaits, size=shape)
-      initial, final = np.where(swap, gaits, (initial, final))
+    for modes, steps, share in self._preferences():
+      if len(modes) and self._steps < steps:
+        shape = (2, len(ids))
+        swap = random_state.uniform(size=shape) < share
+        preferred = random_state.choice(modes, size=shape)
+        initial, final = np.where(swap, preferred, (initial, final))
     clips = random_state.choice(schedule_lib.CLIPS, size=len(ids))
     phases = random_state.choice(schedule_lib.SWITCH_PHASES, size=len(ids))
     schedule = schedule_lib.transitions(
       self._bank, initial, final, clips, phases, self._steps_from_ground
     )
     return Episodes(schedule, initial, final)
+
+  def _preferences(self) -> tuple[tuple[np.ndarray, int, float], ...]:
+    """Modes that are practised more, until how many steps, and how often."""
+    config = self._config
+    return (
+      (self._gaits, config.gait_steps, config.gait_share),
+      (self._focused, config.focus_steps, config.focus_share),
+    )
 
   def update(
     self, initial: np.ndarray, final: np.ndarray, returns: np.ndarray

@@ -4,6 +4,8 @@ import contextlib
 import csv
 import io
 import pathlib
+import sys
+import types
 from typing import Any, Mapping
 
 import pytest
@@ -77,6 +79,66 @@ def test_tensorboard_of_a_resumed_run(tmp_path: pathlib.Path) -> None:
   _write(loggers.TensorBoardLogger(tmp_path), 10, 20, 30)
   _write(loggers.TensorBoardLogger(tmp_path, resume_from=21), 25)
   assert _scalars(tmp_path, 'a') == [(10, 1.0), (20, 2.0), (25, 2.5)]
+
+
+class _FakeWandb(types.ModuleType):
+  """Stands in for Weights and Biases; notes what it is told."""
+
+  def __init__(self) -> None:
+    super().__init__('wandb')
+    self.begun: list[dict[str, Any]] = []
+    self.told: list[Any] = []
+
+  def init(self, **values: Any) -> Any:
+    self.begun.append(values)
+    return types.SimpleNamespace(
+      define_metric=lambda *args, **kwargs: self.told.append((args, kwargs)),
+      log=self.told.append,
+      finish=lambda: self.told.append('finish'),
+    )
+
+
+def test_wandb(monkeypatch: pytest.MonkeyPatch, tmp_path: pathlib.Path) -> None:
+  fake = _FakeWandb()
+  monkeypatch.setitem(sys.modules, 'wandb', fake)
+  for steps in ((10, 20), (15, 25)):  # The second goes on from a checkpoint.
+    _write(loggers.WandbLogger(tmp_path, 'bipeds', {'seed': 3}), *steps)
+  for begun in fake.begun:
+    assert begun['project'] == 'bipeds' and begun['config'] == {'seed': 3}
+    assert begun['name'] == tmp_path.name and begun['dir'] == str(tmp_path)
+    # The same run, which may be there already.
+    assert begun['id'] == (tmp_path / 'wandb_id').read_text()
+    assert len(begun['id']) == 16 and begun['resume'] == 'allow'
+  (tmp_path / 'other').mkdir()
+  _write(loggers.WandbLogger(tmp_path / 'other', 'bipeds', {}))
+  assert fake.begun[2]['id'] != fake.begun[0]['id']
+  abscissa = (('*',), {'step_metric': 'steps'})
+  assert fake.told[:-2] == [
+    *[abscissa, {'steps': 10, 'a': 1.0}, {'steps': 20, 'a': 2.0}, 'finish'],
+    *[abscissa, {'steps': 15, 'a': 1.5}, {'steps': 25, 'a': 2.5}, 'finish'],
+  ]
+
+
+def test_wandb_offline(
+  monkeypatch: pytest.MonkeyPatch, tmp_path: pathlib.Path
+) -> None:
+  """The real one, where it is installed; it writes below the run's folder."""
+  pytest.importorskip('wandb')
+  monkeypatch.setenv('WANDB_MODE', 'offline')
+  monkeypatch.setenv('WANDB_SILENT', 'true')
+  _write(loggers.WandbLogger(tmp_path, 'bipeds', {'seed': 3}), 10, 20)
+  (written,) = (tmp_path / 'wandb').glob('offline-run-*/run-*.wandb')
+  assert (tmp_path / 'wandb_id').read_text() in written.name
+  assert written.stat().st_size
+
+
+def test_wandb_is_missing(
+  monkeypatch: pytest.MonkeyPatch, tmp_path: pathlib.Path
+) -> None:
+  monkeypatch.setitem(sys.modules, 'wandb', None)
+  with pytest.raises(ModuleNotFoundError, match=r'extra `wandb`: pip install'):
+    loggers.WandbLogger(tmp_path, 'bipeds', {})
+  assert not list(tmp_path.iterdir())
 
 
 def test_progress_line() -> None:

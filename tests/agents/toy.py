@@ -39,6 +39,8 @@ class TargetEnvironment:
   Every episode reaches its time limit after one step.
   """
 
+  invalid_cause = 4
+
   def __init__(
     self, num_worlds: int, target: Target, draw: Draw, seed: int = 0
   ):

@@ -86,6 +86,15 @@ def test_defaults_come_from_the_object(parse: Any) -> None:
   assert config_flags.overrides(config, 'x') == ['x_rate']
 
 
+def test_other_values_than_the_defaults_stay(parse: Any) -> None:
+  config_flags.define(_Config(), 'x')
+  parse('--x_gains_weight=0.5', '--x_kind=augment')
+  config = _Config(gains=_Gains(0.1, (1, 2)), count=7, sizes=(3,), learn=False)
+  assert config_flags.read(config, 'x') == dataclasses.replace(
+    config, gains=_Gains(0.5, (1, 2)), kind='augment'
+  )
+
+
 def test_empty_list(parse: Any) -> None:
   config_flags.define(_Config(), 'x')
   parse('--x_sizes=')

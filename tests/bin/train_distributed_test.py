@@ -16,6 +16,7 @@ from dmc_multimode.agents import checkpointing
 from dmc_multimode.bin import launches
 from dmc_multimode.bin import run_setup
 from tests.bin import short_run
+from tests.bin import untrained
 
 _ROOT = pathlib.Path(__file__).parents[2]
 _TIMEOUT = 300  # Seconds.
@@ -228,6 +229,34 @@ def test_both_stop_when_one_is_asked(tmp_path: pathlib.Path) -> None:
     process.kill()
   assert 'the policy is in' in stdout and 'Traceback' not in stderr
   _assert_equal(launch.network(0), launch.network(1))
+
+
+def test_two_ranks_begin_with_one_policy(tmp_path: pathlib.Path) -> None:
+  """Rank 0 alone reads it; steps are too small to be seen."""
+  before = untrained.save_with_encoder(
+    tmp_path / 'policy', ['idle', 'walk_forward'], {}
+  )
+  launch = Launch(tmp_path / 'grown')
+  rates = [f'--ppo_{kind}learning_rate=1e-12' for kind in ('', 'min_', 'max_')]
+  _finish(
+    launch.start(
+      f'--init_from={tmp_path / "policy"}',
+      '--noone_hot',
+      '--ppo_hidden_sizes=16',
+      '--modes=idle,walk_forward,leap_forward',
+      '--threads=2',
+      f'--steps={2 * short_run.ITERATION}',
+      *rates,
+      launcher=_torchrun(2),
+    )
+  )
+  _assert_equal(launch.network(0), launch.network(1))
+  expected = before.network.state_dict()
+  for key, value in launch.network(1).items():
+    if key.startswith(('policy.', 'value.')):
+      torch.testing.assert_close(value, expected[key], atol=1e-9, rtol=0)
+  after = pretrained.load(launch.run)
+  assert after.codebook.names == ('idle', 'walk_forward', 'leap_forward')
 
 
 # What is said to be wrong, and what counts as a restart.

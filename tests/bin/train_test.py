@@ -20,6 +20,7 @@ from dmc_multimode.agents import checkpointing
 from dmc_multimode.bin import run_setup
 from tests.bin import processes
 from tests.bin import short_run
+from tests.bin import untrained
 
 _ROOT = pathlib.Path(__file__).parents[2]
 _ITERATION, _STEPS = short_run.ITERATION, short_run.STEPS
@@ -52,6 +53,16 @@ name: wait
 kind: steady
 duration: -1
 keyframes: [{phase: 0, position: [0, 0, 1]}, {phase: 1, position: [0, 0, 1]}]
+"""
+
+_STANDING = """\
+name: {}
+kind: steady
+duration: 0.6
+half_cycle_symmetric: true
+keyframes:
+  - {{phase: 0, position: [0, 0, {height}], contacts: [1, 1]}}
+  - {{phase: 1, position: [0, 0, {height}], contacts: [1, 1]}}
 """
 
 _Files = dict[str, bytes]
@@ -444,3 +455,188 @@ def test_checkpoint_without_its_run_is_not_taken_over(
   assert done.code == 2
   assert 'already holds a run' in done.error
   assert _files(copy) == before
+
+
+# Trainings that begin with a policy.
+
+
+@pytest.fixture(scope='module')
+def known(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
+  """A policy of two modes."""
+  folder = tmp_path_factory.mktemp('known')
+  untrained.save_with_encoder(folder, ['idle', 'walk_forward'], {'steps': 7})
+  return folder
+
+
+_FINE = (
+  '--num_worlds=8',
+  '--threads=1',
+  '--ppo_rollout_length=4',
+  '--modes=idle,leap_forward,walk_forward',
+)
+
+
+@pytest.fixture(scope='module')
+def grown(
+  train: processes.Binary,
+  known: pathlib.Path,
+  tmp_path_factory: pytest.TempPathFactory,
+) -> pathlib.Path:
+  """A run that has begun with that policy; not to be written to."""
+  folder = tmp_path_factory.mktemp('runs') / 'grown'
+  flags = f'--run_dir={folder}', f'--init_from={known}', f'--steps={_STEPS}'
+  done = train(*flags, *_FINE)
+  assert done.code == 0, done.stderr
+  return folder
+
+
+def test_policy_gains_a_mode(known: pathlib.Path, grown: pathlib.Path) -> None:
+  before, after = pretrained.load(known), pretrained.load(grown)
+  assert after.codebook.names == ('idle', 'leap_forward', 'walk_forward')
+  old = after.codebook.subset(before.codebook.names)
+  assert old.latents.tolist() == before.codebook.latents.tolist()
+  assert after.hidden_sizes == before.hidden_sizes
+  run = after.provenance['run']
+  assert run['init_from'] == str(known)
+  assert run['sampling']['focus'] == 'leap_forward'
+  assert after.provenance['steps'] == _STEPS
+  assert after.provenance['initial']['steps'] == 7
+  assert float(after.network.normaliser.count) == _STEPS
+  assert all(float(row['loss/anchor']) > 0 for row in _rows(grown))
+
+
+def test_weights_are_taken_over(
+  train: processes.Binary, known: pathlib.Path, tmp_path: pathlib.Path
+) -> None:
+  """In steps that are too small to be seen."""
+  rates = [f'--ppo_{kind}learning_rate=1e-12' for kind in ('', 'min_', 'max_')]
+  flags = f'--run_dir={tmp_path}/run', f'--init_from={known}'
+  done = train(*flags, *_FINE, *rates, f'--steps={_ITERATION}')
+  assert done.code == 0, done.stderr
+  before, after = (
+    pretrained.load(folder).network for folder in (known, tmp_path / 'run')
+  )
+  for part in ('policy', 'value'):
+    for one, other in zip(
+      getattr(before, part).parameters(),
+      getattr(after, part).parameters(),
+      strict=True,
+    ):
+      torch.testing.assert_close(one, other, atol=1e-9, rtol=0)
+  assert float(after.normaliser.count) == _ITERATION
+
+
+@pytest.mark.parametrize('iterations', [0, 3])
+def test_run_that_began_with_a_policy_goes_on_bit_for_bit(
+  train: processes.Binary,
+  known: pathlib.Path,
+  grown: pathlib.Path,
+  tmp_path: pathlib.Path,
+  iterations: int,
+) -> None:
+  """From a checkpoint, or killed before there was one; the policy is gone."""
+  folder = tmp_path / 'parts'
+  flag = f'--run_dir={folder}'
+  if iterations:
+    # The schedules are those of the whole training, whatever --steps say.
+    config = run_setup.load_run(grown)[0]
+    schedules = (
+      f'--ppo_anneal_start={config.ppo.anneal_start}',
+      f'--ppo_anneal_end={config.ppo.anneal_end}',
+      f'--ppo_quiet_start={config.ppo.quiet_start}',
+      f'--sampling_focus_steps={config.sampling.focus_steps}',
+      f'--steps={iterations * _ITERATION}',
+    )
+    assert train(flag, f'--init_from={known}', *_FINE, *schedules).code == 0
+  else:
+    for name, content in _files(grown).items():
+      if content and name.partition('/')[0] in (
+        run_setup.CONFIG_FILE,
+        run_setup.INITIAL,
+        run_setup.ENCODER,
+      ):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+  done = train(flag, '--resume', f'--steps={_STEPS}')
+  assert done.code == 0, done.stderr
+  expected, _ = checkpointing.load_tensors(grown / checkpointing.NAME)
+  found, _ = checkpointing.load_tensors(folder / checkpointing.NAME)
+  assert expected.keys() == found.keys()
+  for key, value in expected.items():
+    assert torch.equal(value, found[key]), key
+
+
+@pytest.mark.parametrize(
+  ('flags', 'message'),
+  [
+    (['--init_from=pi7'], 'pi7'),
+    (['--init_from={tmp}/one_hot'], 'one-hot commands'),
+    (['--ppo_hidden_sizes=8'], '--ppo_hidden_sizes'),
+    (['--one_hot'], '--one_hot'),
+    (['--encoder={tmp}/absent'], 'absent'),
+    (['--modes=idle,fly'], 'fly'),
+    (['--modes=idle,walk_left'], 'walk_right'),
+    (['--mode_file={tmp}/idle.yaml'], 'by the name of'),
+    (['--mode_file={tmp}/stay.yaml', '--modes=idle,stay'], 'same base motion'),
+  ],
+  ids=lambda value: value if isinstance(value, str) else ' '.join(value),
+)
+def test_bad_input_to_begin_with(
+  train: processes.Binary,
+  known: pathlib.Path,
+  tmp_path: pathlib.Path,
+  flags: list[str],
+  message: str,
+) -> None:
+  untrained.save(
+    tmp_path / 'one_hot', ['idle'], pretrained.load(known).config, {}
+  )
+  for name, height in (('idle', 0.4), ('stay', 0.5)):
+    (tmp_path / f'{name}.yaml').write_text(
+      _STANDING.format(name, height=height)
+    )
+  before = _files(tmp_path)
+  done = train(
+    f'--run_dir={tmp_path / "run"}',
+    f'--init_from={known}',
+    *_FINE,
+    *(flag.format(tmp=tmp_path) for flag in flags),
+  )
+  assert done.code == 2, done.stderr
+  assert message in done.error
+  assert _files(tmp_path) == before
+
+
+def test_run_begins_with_no_other_policy_when_it_goes_on(
+  train: processes.Binary, grown: pathlib.Path, known: pathlib.Path
+) -> None:
+  before = _files(grown)
+  done = train(f'--run_dir={grown}', '--resume', '--init_from=pi2')
+  assert done.code == 2
+  assert 'init_from' in done.error
+  assert _files(grown) == before
+  # The same again is no contradiction; there is nothing left to do.
+  done = train(
+    f'--run_dir={grown}',
+    '--resume',
+    f'--init_from={known}',
+    *_FINE,
+    '--steps=1',
+  )
+  assert done.code == 0, done.stderr
+
+
+def test_weights_and_biases_are_not_there(
+  train: processes.Binary, tmp_path: pathlib.Path
+) -> None:
+  folder = tmp_path / 'run'
+  train.start(
+    f'--run_dir={folder}',
+    *_TINY,
+    '--wandb_project=bipeds',
+    before="import sys; sys.modules['wandb'] = None",
+  )
+  done = train.wait()
+  assert done.code == 2
+  assert 'takes the extra `wandb`' in done.error
+  assert not folder.exists()

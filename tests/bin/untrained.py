@@ -1,4 +1,4 @@
-"""An untrained policy on disk, for binaries that load one."""
+"""Untrained policies on disk, for binaries that load one."""
 
 import pathlib
 from typing import Any, Mapping, Sequence
@@ -6,9 +6,11 @@ from typing import Any, Mapping, Sequence
 from dmc_multimode import pretrained
 from dmc_multimode.agents.ppo import networks
 from dmc_multimode.modes import codebook
+from dmc_multimode.modes import encoder as encoder_lib
 from dmc_multimode.modes import library
 from dmc_multimode.suite import config
 from dmc_multimode.suite import observations
+from dmc_multimode.suite import privileged
 
 
 def save(
@@ -23,3 +25,35 @@ def save(
   size = 2 + book.latent_dim + observations.STATE_SIZE
   network = networks.ActorCritic(size, observations.NUM_JOINTS, (8,))
   pretrained.Policy(network, (8,), motions, book, task, provenance).save(folder)
+
+
+def save_with_encoder(
+  folder: pathlib.Path,
+  modes: Sequence[str],
+  provenance: Mapping[str, Any],
+  task: config.ImitationConfig | None = None,
+) -> pretrained.Policy:
+  """Writes and returns one with latents; the encoder is as untrained."""
+  encoder = encoder_lib.train(
+    library.resolve(modes),
+    encoder_lib.EncoderConfig(hidden=4, max_rmse=9.0, min_separation=0.0),
+  )
+  encoder.save(folder)
+  book = encoder.codebook()
+  size = 2 + book.latent_dim + observations.STATE_SIZE
+  policy = pretrained.Policy(
+    networks.ActorCritic(
+      size,
+      observations.NUM_JOINTS,
+      (16,),
+      privileged_size=privileged.size(book.latent_dim),
+      activation='silu',
+    ),
+    (16,),
+    encoder.motions,
+    book,
+    task or config.ImitationConfig(),
+    provenance,
+  )
+  policy.save(folder)
+  return policy

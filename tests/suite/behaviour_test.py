@@ -122,6 +122,25 @@ def test_a_walk_keeps_its_speed(speed: float) -> None:
   assert not verdict.kept
 
 
+def test_a_squat_rises() -> None:
+  """On the spot, both feet on the ground."""
+  motion = dataclasses.replace(
+    _MODES['idle'],
+    kind=reference.PERIODIC,
+    duration=1.2,
+    phases=np.array([0.0, 0.5, 1.0]),
+    positions=np.array([[0, 0, 0.5], [0, 0, 0.4], [0, 0, 0.5]]),
+    orientations=np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)),
+    contacts=np.ones((3, 2)),
+  )
+  verdict = _verdicts(motion, _perfect(motion))['rise']
+  assert verdict.least == pytest.approx(0.06)
+  assert verdict.value == pytest.approx(0.1, abs=0.01) and verdict.kept
+  standing = _perfect(_MODES['idle'])._replace(cycle=1.2)
+  found = _verdicts(motion, standing)
+  assert list(found) == ['rise'] and not found['rise'].kept
+
+
 def test_modes_of_which_little_is_known_promise_little() -> None:
   walk = dataclasses.replace(_MODES['walk_forward'], contacts=None)
   assert [p.metric for p in behaviour.promises(walk)] == ['speed', 'bob']

@@ -78,6 +78,26 @@ class TransitionEpisodesTest(parameterized.TestCase):
     )
     self.assertLen(np.unique(drawn.initial), 3)
 
+  def test_modes_in_focus(self) -> None:
+    """Two modes in place of 4 of 10, for as long as was asked for."""
+    bank = _bank()
+    config = sampling.SamplingConfig(
+      focus='launch, idle', focus_steps=1000, focus_share=0.4
+    )
+    initialiser = episodes.TransitionEpisodes(bank, config)
+    for expected in (0.2 + 0.6 / 4, 1 / 4):
+      drawn = initialiser.sample(np.arange(4000), np.random.RandomState(0))
+      for modes in (drawn.initial, drawn.final):
+        for name in ('launch', 'idle'):
+          share = float(np.mean(modes == bank.index(name)))
+          self.assertAlmostEqual(share, expected, delta=0.03)
+      initialiser.advance(1000)
+
+  def test_focus_on_what_is_not_there(self) -> None:
+    config = sampling.SamplingConfig(focus='fly')
+    with self.assertRaisesRegex(ValueError, "Unknown mode 'fly'"):
+      episodes.TransitionEpisodes(_bank(), config)
+
   def test_one_seed_one_draw(self) -> None:
     initialiser = episodes.TransitionEpisodes(_bank())
     first, second = (

@@ -1,11 +1,14 @@
 """Puts the parts of PPO together."""
 
+from typing import Mapping
+
 from dm_env import specs
 import numpy as np
 import torch
 
 from dmc_multimode.agents import distributed
 from dmc_multimode.agents.ppo import acting
+from dmc_multimode.agents.ppo import anchoring
 from dmc_multimode.agents.ppo import config as config_lib
 from dmc_multimode.agents.ppo import learning
 from dmc_multimode.agents.ppo import networks
@@ -41,14 +44,16 @@ class PPOBuilder:
     action_spec: specs.Array,
     initial_action: np.ndarray | None = None,
     privileged_size: int = 0,
+    weights: Mapping[str, torch.Tensor] | None = None,
   ) -> networks.ActorCritic:
-    """Returns freshly initialised networks for these specs.
+    """Returns networks for these specs, freshly initialised or with `weights`.
 
     Args:
       observation_spec: one world's observation, with what is privileged, [D].
       action_spec: one world's action, [A].
       initial_action: what the policy does before it learns, [A].
       privileged_size: how many of the last numbers only the value sees.
+      weights: of such networks, for all ranks; only those of rank 0 matter.
     """
     with torch.random.fork_rng(devices=[]):
       torch.manual_seed(self._seed)
@@ -61,6 +66,8 @@ class PPOBuilder:
         privileged_size,
         self._config.activation,
       ).to(self._device)
+    if weights is not None:
+      network.load_state_dict(weights)
     # Another kind of machine may round another way.
     self._communicator.broadcast(list(network.state_dict().values()))
     return network
@@ -71,6 +78,7 @@ class PPOBuilder:
     mirror: symmetry.Mirror | None = None,
     commands: symmetry.Commands | None = None,
     parallel: bool = False,
+    anchor: anchoring.Anchor | None = None,
   ) -> learning.PPOLearner:
     """Returns a learner that updates `network` in place; see `PPOLearner`."""
     return learning.PPOLearner(
@@ -81,6 +89,7 @@ class PPOBuilder:
       commands,
       parallel,
       self._communicator,
+      anchor,
     )
 
   def make_actor(self, network: networks.ActorCritic) -> acting.BatchedActor:

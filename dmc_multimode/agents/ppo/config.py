@@ -50,6 +50,8 @@ class PPOConfig:
       cost.
     privileged_critic: whether the value function sees more than the policy, if
       the environment has more to show.
+    anchor_weight: weight of the divergence from the policy that the training
+      began with, if with any, in the modes that this one knows.
     advantages: normalised over 'all' samples, or over those of each 'mode', so
       that no mode's advantages outweigh the others'.
   """
@@ -80,6 +82,7 @@ class PPOConfig:
   symmetry: str = 'none'
   privileged_critic: bool = True
   advantages: str = 'all'
+  anchor_weight: float = 0.0
 
   def __post_init__(self) -> None:
     positive = (
@@ -99,7 +102,7 @@ class PPOConfig:
       value = getattr(self, name)
       if not (math.isfinite(value) and value > 0):
         raise ValueError(f'{name} must be positive, got {value}.')
-    for name in ('entropy_coefficient', 'target_kl'):
+    for name in ('entropy_coefficient', 'target_kl', 'anchor_weight'):
       value = getattr(self, name)
       if not (math.isfinite(value) and value >= 0):
         raise ValueError(f'{name} must not be negative, got {value}.')

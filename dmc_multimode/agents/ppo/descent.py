@@ -70,10 +70,15 @@ class Descent:
     }
 
   def restore(self, state: Mapping[str, torch.Tensor]) -> None:
-    """Takes over a `state`."""
+    """Takes over a `state`; raises ValueError for one of other parameters."""
     self._optimiser.state.clear()
     for name, value in state.items():
       number, _, key = name.partition('/')
       parameter = self._parameters[int(number)]
+      if value.ndim and value.shape != parameter.shape:
+        raise ValueError(
+          f'The checkpoint has a {key} of shape {list(value.shape)} for '
+          f'parameters of shape {list(parameter.shape)}.'
+        )
       moments = self._optimiser.state[parameter]
       moments[key] = value.to(parameter.device, copy=True)

@@ -8,6 +8,7 @@ from typing import Any, Iterator, Mapping, NamedTuple, Sequence
 import torch
 
 from dmc_multimode.agents import distributed
+from dmc_multimode.agents.ppo import anchoring
 from dmc_multimode.agents.ppo import config as config_lib
 from dmc_multimode.agents.ppo import descent
 from dmc_multimode.agents.ppo import losses
@@ -45,7 +46,10 @@ class Rollouts(NamedTuple):
 
 
 class _Samples(NamedTuple):
-  """Flat training samples, [N, ...]; observations are normalised."""
+  """Flat training samples, [N, ...]; observations are normalised.
+
+  Where there is an anchor, `anchors` are its actions; without, [N, 0].
+  """
 
   observations: torch.Tensor
   actions: torch.Tensor
@@ -53,6 +57,7 @@ class _Samples(NamedTuple):
   means: torch.Tensor
   advantages: torch.Tensor
   targets: torch.Tensor
+  anchors: torch.Tensor
 
 
 class PPOLearner:
@@ -76,17 +81,20 @@ class PPOLearner:
     commands: symmetry.Commands | None = None,
     parallel: bool = False,
     communicator: distributed.Communicator = distributed.LOCAL,
+    anchor: anchoring.Anchor | None = None,
   ):
     """Creates the optimisers.
 
     Args:
-      network: what is learned, where it is to be learned.
+      network: what is learned, where it is to be learned. What its normaliser
+        has seen by now is no part of this training's schedules.
       config: hyperparameters.
       seed: of the minibatches.
       mirror: needed where `config.symmetry` is not 'none'.
       commands: needed where `config.advantages` is 'mode'.
       parallel: whether to fit policy and value function at the same time.
       communicator: connects the ranks that learn this network.
+      anchor: what to stay near to, as `config.anchor_weight` says, if anything.
 
     Raises:
       ValueError: symmetry is asked for without a mirror.
@@ -96,9 +104,11 @@ class PPOLearner:
     if config.advantages == 'mode' and commands is None:
       raise ValueError('advantages by mode need the latents of the modes.')
     self.network = network
+    self._began = int(network.normaliser.count)
     self._config = config
     self._mirror = mirror if config.symmetry != 'none' else None
     self._commands = commands
+    self._anchor = anchor
     self._generator = torch.Generator().manual_seed(seed)
     network.log_std.requires_grad_(config.learn_std)
     value = list(network.value.parameters())
@@ -215,6 +225,7 @@ class PPOLearner:
       rollouts.last,
       config.gae_lambda,
     )
+    raw = rollouts.observations.flatten(0, 1)
     samples = _Samples(
       seen.flatten(0, 1),
       rollouts.actions.flatten(0, 1),
@@ -222,18 +233,23 @@ class PPOLearner:
       rollouts.means.flatten(0, 1),
       advantages.flatten(),
       (advantages + values).flatten(),
+      self._anchors(raw),
     )
     groups = None
     if config.advantages == 'mode':
       assert self._commands is not None  # So says the constructor.
-      groups = self._commands.modes(rollouts.observations.flatten(0, 1))
+      groups = self._commands.modes(raw)
     # An action that was not drawn says nothing about the others.
     explored = (samples.actions != samples.means).any(dim=-1)
     samples = samples._replace(
       advantages=explored
       * losses.normalised(samples.advantages, groups, self._communicator)
     )
-    return self._with_mirror_images(samples, rollouts)
+    return self._with_mirror_images(samples, raw)
+
+  def _anchors(self, raw: torch.Tensor) -> torch.Tensor:
+    """Returns the means to stay near to, for raw observations [N, D]."""
+    return self._anchor.means(raw) if self._anchor else raw[:, :0]
 
   def _next_values(
     self, rollouts: Rollouts, values: torch.Tensor
@@ -248,15 +264,16 @@ class PPOLearner:
     return next_values
 
   def _with_mirror_images(
-    self, samples: _Samples, rollouts: Rollouts
+    self, samples: _Samples, raw: torch.Tensor
   ) -> _Samples:
     if self._mirror is None:
       return samples
-    raw = self._mirror.observations(rollouts.observations.flatten(0, 1))
+    mirrored = self._mirror.observations(raw)
     image = samples._replace(
-      observations=self.network.normaliser(raw),
+      observations=self.network.normaliser(mirrored),
       actions=self._mirror.actions(samples.actions),
       means=self._mirror.actions(samples.means),
+      anchors=self._anchors(mirrored),
     )
     return _Samples(
       *(torch.cat(pair) for pair in zip(samples, image, strict=True))
@@ -273,9 +290,13 @@ class PPOLearner:
       config.clip,
     )
     entropy = networks.entropy(std)
-    norm = self._policy.descend(
-      surrogate - config.entropy_coefficient * entropy
-    )
+    loss = surrogate - config.entropy_coefficient * entropy
+    metrics = {}
+    if self._anchor:
+      drift = anchoring.divergence(mean, std, samples.anchors[ids])
+      loss = loss + config.anchor_weight * drift
+      metrics['loss/anchor'] = drift.detach()
+    norm = self._policy.descend(loss)
     # The parameter itself: one that has left its bounds must feel the gradient.
     network.bound_std(*self._std_bounds())
     return {
@@ -283,6 +304,7 @@ class PPOLearner:
       'loss/entropy': entropy.detach(),
       'clip_fraction': outside,
       'gradient_norm/policy': norm,
+      **metrics,
     }
 
   def _fit_value(self, samples: _Samples, ids: torch.Tensor) -> Metrics:
@@ -308,7 +330,8 @@ class PPOLearner:
 
   def _std_bounds(self) -> tuple[float, float]:
     """Bounds of the std by the steps that were learned from."""
-    return self._config.std_bounds(int(self.network.normaliser.count))
+    steps = int(self.network.normaliser.count) - self._began
+    return self._config.std_bounds(steps)
 
   def _adapt_learning_rate(self, kl: float) -> None:
     """Holds the KL divergence of an iteration near its target."""

@@ -163,6 +163,24 @@ def test_std_floor_falls_with_the_steps() -> None:
   assert other.network.std.tolist() == pytest.approx([0.1] * _A)
 
 
+def test_schedules_begin_with_the_training() -> None:
+  """Whatever the network's normaliser has seen in another."""
+  config = dataclasses.replace(
+    _CONFIG,
+    min_std=0.4,
+    final_min_std=0.1,
+    anneal_start=_T * _B,
+    anneal_end=3 * _T * _B,
+  )
+  network = _network(config)
+  network.normaliser.count.fill_(1e6)
+  network.log_std.data.fill_(-9.0)
+  learner = learning.PPOLearner(network, config, seed=1)
+  rollouts = _rollouts(network)
+  found = [learner.step(rollouts)['std'] for _ in range(4)]
+  assert found == pytest.approx([0.4, 0.2, 0.1, 0.1])
+
+
 def test_std_ceiling_falls_with_the_floor() -> None:
   bounds: dict[str, Any] = {
     'min_std': 0.1,
@@ -455,6 +473,20 @@ def test_builder_divides_the_observation() -> None:
   )
   assert (network.observation_size, network.privileged_size) == (_D - 1, 1)
   assert network.normaliser.mean.shape == (_D,)
+
+
+def test_builder_takes_weights_over() -> None:
+  environment = toy.TargetEnvironment(
+    4, lambda seen: seen[:, :_A], lambda rng, count: rng.randn(count, _D)
+  )
+  expected = _network().state_dict()
+  found = builder.PPOBuilder(_CONFIG, seed=5).make_networks(
+    environment.observation_spec(),
+    environment.action_spec(),
+    weights=expected,
+  )
+  for key, value in found.state_dict().items():
+    assert torch.equal(value, expected[key]), key
 
 
 @pytest.mark.parametrize('activation', config_lib.ACTIVATIONS)
