@@ -10,6 +10,7 @@
 #   make retrain train all these policies again, into runs/ (hours; see
 #                docs/REPRODUCTION.md); goes on where it stopped
 #   make lint    lint, format and types alone
+#   make docs    these pages and the API as a site: out/site/index.html
 #   make clean   remove what make made, the environment included (not runs/)
 #
 # Variables: PYTHON (3.11 or later), TORCH (what pip installs as torch: a
@@ -19,7 +20,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DELETE_ON_ERROR:
-.PHONY: demo test train reproduce retrain lint setup clean
+.PHONY: demo test train reproduce retrain lint docs setup clean
 
 PYTHON ?= python3
 PYTEST_ARGS ?=
@@ -64,6 +65,12 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+# Warnings are errors. Docstrings are read, not imported: no extra is needed. The
+# variable silences the theme's notice about its future; see CONTRIBUTING.md.
+docs: $(VENV)/docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+	@echo "The site is $(CURDIR)/$(OUT)/site/index.html"
+
 train: setup
 	$(BIN)/python -m dmc_multimode.bin.train \
 	  --flagfile=flags/quickstart.flags --run_dir=runs/quickstart $(TRAIN_ARGS)
@@ -99,6 +106,10 @@ $(VENV)/installed: setup.cfg pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet $(TORCH)
 	$(BIN)/python -m pip install --quiet -e '.[dev,export,gym]'
+	@touch $@
+
+$(VENV)/docs: setup.cfg | $(VENV)/installed
+	$(BIN)/python -m pip install --quiet -e '.[docs]'
 	@touch $@
 
 # Draws one frame. A machine that cannot still runs what draws nothing.

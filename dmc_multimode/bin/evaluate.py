@@ -2,33 +2,34 @@
 
 python -m dmc_multimode.bin.evaluate --policy=quickstart --out=report.json
 
-Under `torchrun` in place of `python`, several processes share the episodes.
+--html=report.html is the same to be looked at: one page with tables, a heat map
+of the transitions, figures, and a short video of every mode. Under `torchrun`
+in place of `python`, several processes share the episodes.
 """
 
+import functools
 import json
 import math
 import pathlib
 from typing import Any, Sequence
 
 from absl import flags
-import numpy as np
 
 from dmc_multimode import atomic
-from dmc_multimode import pretrained
 from dmc_multimode.agents import distributed
 from dmc_multimode.bin import app
 from dmc_multimode.bin import config_flags
-from dmc_multimode.bin import figures
+from dmc_multimode.bin import gl
 from dmc_multimode.bin import outputs
 from dmc_multimode.bin import ranks
-from dmc_multimode.bin import scoring
-from dmc_multimode.modes import schedule as schedule_lib
-from dmc_multimode.suite import config as config_lib
 
 _POLICY = flags.DEFINE_string(
   'policy', None, 'Name of a shipped policy, or a folder.', required=True
 )
 _OUT = flags.DEFINE_string('out', None, 'JSON file to write the report to.')
+_HTML = flags.DEFINE_string(
+  'html', None, 'Page to write the report to, with figures and videos in it.'
+)
 _FIGURES = flags.DEFINE_string(
   'figures',
   None,
@@ -47,84 +48,6 @@ _CLOCK_RATES = flags.DEFINE_list(
 _CLOCK_RATE = flags.DEFINE_float('clock_rate', 1.0, 'Of the modes.')
 
 
-def draw(
-  evaluator: scoring.Evaluator,
-  values: dict[str, Any],
-  directory: pathlib.Path,
-) -> None:
-  """Draws every mode, a sequence of them, and what `values` has of speeds."""
-  bank, timestep = evaluator.bank, evaluator.config.control_timestep
-  alone = evaluator.run(schedule_lib.single(np.arange(len(bank))), 'heights')
-  for name, function in (
-    (figures.HEIGHTS_FILE, figures.heights),
-    (figures.CONTACTS_FILE, figures.contacts),
-  ):
-    drawn = function(bank.names, alone.traces, alone.lengths, timestep)
-    figures.save(directory / name, drawn)
-  if 'clock_rates' in values:
-    drawn = figures.clock_rates(values['clock_rates'])
-    figures.save(directory / figures.CLOCK_RATES_FILE, drawn)
-  schedule, seconds = figures.sequence(bank)
-  found = evaluator.changed(time_limit=seconds).run(schedule, 'sequence')
-  drawn = figures.transitions(
-    bank, schedule, found.traces, found.lengths[0], timestep
-  )
-  figures.save(directory / figures.SEQUENCE_FILE, drawn)
-
-
-_COLUMNS = (
-  'mra',
-  'survival',
-  'velocity',
-  'lateral_velocity',
-  'height',
-  'apex',
-  'rise',
-  'flight',
-  'alternation',
-  'single_support',
-  'agreement',
-  'drift',
-  'position_error',
-)
-
-
-def print_report(values: dict[str, Any]) -> None:
-  """Prints the report as tables."""
-  print(f'{"mode":16}' + ''.join(f'{name[:9]:>10}' for name in _COLUMNS))
-  for name, row in values['modes'].items():
-    print(f'{name:16}' + ''.join(f'{row[key]:10.3f}' for key in _COLUMNS))
-  print(
-    f'\n{"promise":32}{"value":>10}{"worst":>10}{"least":>10}{"most":>10}'
-    f'{"kept":>6}'
-  )
-  for name, promises in values['behaviour'].items():
-    for metric, row in promises.items():
-      least, most = (
-        '' if row[key] is None else f'{row[key]:.3f}'
-        for key in ('least', 'most')
-      )
-      print(
-        f'{f"{name}: {metric}":32}{row["value"]:10.3f}{row["worst"]:10.3f}'
-        f'{least:>10}{most:>10}{"yes" if row["kept"] else "NO":>6}'
-      )
-  print(f'\n{"transition":36}{"mra":>10}{"survival":>10}')
-  for name, row in values['transitions'].items():
-    print(f'{name:36}{row["mra"]:10.3f}{row["survival"]:10.3f}')
-  for rate, row in values.get('clock_rates', {}).items():
-    speeds = ', '.join(
-      f'{name} {found["velocity"]:.2f} m/s ({found["survival"]:.2f})'
-      for name, found in row.items()
-    )
-    print(f'clock rate {rate}: {speeds}')
-  for kind in ('modes', 'transitions'):
-    mra = values[f'mra_{kind}']
-    print(
-      f'MRA over {kind}: {mra["mean"]:.3f} +- {mra["std"]:.3f}, survival '
-      f'{values[f"survival_{kind}"]:.3f}'
-    )
-
-
 def _rates() -> list[float]:
   """Returns --clock_rates; raises ValueError if they are none."""
   try:
@@ -136,12 +59,30 @@ def _rates() -> list[float]:
   return rates
 
 
-def _evaluate(communicator: distributed.Communicator) -> None:
+def _why_no_videos() -> str:
+  """Readies what draws; returns why there is none, empty if there is.
+
+  It comes before anything imports dm_control.
+  """
+  try:
+    gl.choose_backend()
+  except OSError as error:
+    return str(error)
+  return ''
+
+
+def _evaluate(no_videos: str, communicator: distributed.Communicator) -> None:
   """Evaluates; rank 0 reports."""
+  # These import dm_control, which reads what draws.
+  from dmc_multimode import pretrained
+  from dmc_multimode.bin import scoring
+  from dmc_multimode.suite import config as config_lib
+
   if _EPISODES.value < 1:
     raise ValueError(f'--episodes must be positive, got {_EPISODES.value}.')
   rates = _rates()
   out = outputs.file('out', _OUT.value)
+  page = outputs.file('html', _HTML.value)
   folder = outputs.folder('figures', _FIGURES.value)
   policy = pretrained.load(_POLICY.value)
   config = config_lib.for_evaluation(policy.config)
@@ -157,30 +98,50 @@ def _evaluate(communicator: distributed.Communicator) -> None:
     )
   values['provenance'] = dict(policy.provenance)
   if communicator.rank == 0:
-    _report(values, out, folder, scoring.Evaluator(policy, config, _SEED.value))
+    evaluator = scoring.Evaluator(policy, config, _SEED.value)
+    _report(values, out, page, folder, evaluator, no_videos)
 
 
 def _report(
   values: dict[str, Any],
   out: pathlib.Path | None,
+  page: pathlib.Path | None,
   folder: pathlib.Path | None,
-  evaluator: scoring.Evaluator,
+  evaluator: Any,
+  no_videos: str,
 ) -> None:
   """Prints, writes and draws what there is to be told."""
-  print_report(values)
+  from dmc_multimode.bin import figures
+  from dmc_multimode.bin import reporting
+
+  reporting.show(values)
   if out:
     out.parent.mkdir(parents=True, exist_ok=True)
     atomic.write(out, json.dumps(values, indent=1).encode())
     print(f'The report is in {out}')
+  drawn = reporting.draw(evaluator, values) if folder or page else {}
   if folder:
-    draw(evaluator, values, folder)
+    for name, figure in drawn.items():
+      figures.save(folder / name, figure)
     print(f'The figures are in {folder}')
+  if page:
+    videos = {}
+    if no_videos:
+      print(f'No videos: {no_videos}')
+    else:
+      videos = reporting.film(
+        evaluator.policy, evaluator.config, _SEED.value, _CLOCK_RATE.value
+      )
+    title = f'Evaluation of {_POLICY.value}'
+    reporting.write_page(page, title, values, drawn, videos, no_videos)
+    print(f'The page is {page}')
 
 
 def main(argv: Sequence[str]) -> int:
   """Evaluates and reports, with the other ranks if there are any."""
   del argv
-  return ranks.run(_evaluate)
+  no_videos = _why_no_videos() if _HTML.value else ''
+  return ranks.run(functools.partial(_evaluate, no_videos))
 
 
 def cli() -> None:

@@ -41,10 +41,15 @@ def empty(
 
 def save(path: pathlib.Path, drawn: matplotlib.figure.Figure) -> None:
   """Writes a figure as PNG."""
+  path.parent.mkdir(parents=True, exist_ok=True)
+  atomic.write(path, png(drawn))
+
+
+def png(drawn: matplotlib.figure.Figure) -> bytes:
+  """Returns a figure as the content of a PNG file."""
   content = io.BytesIO()
   drawn.savefig(content, format='png', dpi=120)
-  path.parent.mkdir(parents=True, exist_ok=True)
-  atomic.write(path, content.getvalue())
+  return content.getvalue()
 
 
 def heights(

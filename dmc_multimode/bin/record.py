@@ -6,6 +6,7 @@ r"""Records a policy that follows a schedule of modes, as a video.
   python -m dmc_multimode.bin.record --policy=pi2 --plan=plan.json \
     --out=video.mp4
 
+A file that ends in .gif becomes a GIF that repeats, of fewer frames a second.
 The translucent box is the reference. A robot that falls is recorded on, with
 the cause in the frame, unless --terminate is given.
 """
@@ -33,7 +34,9 @@ _ARENA = flags.DEFINE_string(
 _PLAN = flags.DEFINE_string(
   'plan', None, 'A file that `plan` wrote; says schedule, arena, seed, pushes.'
 )
-_OUT = flags.DEFINE_string('out', None, 'The video to write, an .mp4 file.')
+_OUT = flags.DEFINE_string(
+  'out', None, 'The video to write, an .mp4 or a .gif file.'
+)
 _CAMERA = flags.DEFINE_string(
   'camera', 'side', 'side, front, overview, or any camera of the model.'
 )

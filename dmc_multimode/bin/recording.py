@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import pathlib
+from typing import NamedTuple
 
 import numpy as np
 import tqdm
@@ -49,7 +50,33 @@ def record(
   config: RecordingConfig,
   out: pathlib.Path,
 ) -> None:
-  """Rolls out, writes the video and prints how each command went.
+  """Films a policy and prints how each command went; see `film`."""
+  filmed = film(policy, rollout_config, config, out)
+  for outcome in filmed.outcomes:
+    print(outcome)
+  print(f'wrote {out} ({filmed.steps} frames)')
+
+
+class Filmed(NamedTuple):
+  """What a video shows.
+
+  Attributes:
+    outcomes: how each command went.
+    steps: control steps.
+  """
+
+  outcomes: list[rollout_lib.Outcome]
+  steps: int
+
+
+def film(
+  policy: pretrained.Policy,
+  rollout_config: rollout_lib.RolloutConfig,
+  config: RecordingConfig,
+  out: pathlib.Path,
+  quiet: bool = False,
+) -> Filmed:
+  """Rolls out and writes the video.
 
   A frame a control step; the file appears when it is complete.
 
@@ -57,7 +84,8 @@ def record(
     policy: what acts.
     rollout_config: what it does.
     config: how that is drawn.
-    out: the video, an .mp4 file.
+    out: the video, an .mp4 or a .gif file.
+    quiet: whether there is no progress bar.
 
   Raises:
     ValueError: a mode, arena or camera is unknown, or a number out of bounds.
@@ -76,16 +104,21 @@ def record(
     config.ghost,
   )
   rate = 1 / (rollout.task.control_timestep * config.slow_motion)
-  bar = tqdm.tqdm(rollout.steps(), 'recording', rollout.num_steps, unit='frame')
+  bar = tqdm.tqdm(
+    rollout.steps(),
+    'recording',
+    rollout.num_steps,
+    unit='frame',
+    disable=quiet,
+  )
   steps: list[robot_lib.Step] = []
   captions = Captions(rollout)
-  with bar, video.VideoWriter(out, config.width, config.height, rate) as file:
+  with bar, video.make_writer(out, config.width, config.height, rate) as file:
     for step in bar:
       steps.append(step)
       file.write(captions.draw(camera.render(), step))
-  for outcome in rollout_lib.outcomes(rollout_config, start, steps):
-    print(outcome)
-  print(f'wrote {out} ({len(steps)} frames)')
+  outcomes = rollout_lib.outcomes(rollout_config, start, steps)
+  return Filmed(outcomes, len(steps))
 
 
 class Captions:

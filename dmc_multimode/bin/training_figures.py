@@ -31,8 +31,11 @@ def read(path: pathlib.Path) -> Curves:
   path = path / METRICS_FILE if path.is_dir() else path
   if not path.is_file():
     raise FileNotFoundError(f'{path} does not exist.')
-  with open(path, newline='', encoding='utf-8') as file:
-    rows = list(csv.DictReader(file))
+  try:
+    with open(path, newline='', encoding='utf-8') as file:
+      rows = list(csv.DictReader(file))
+  except (csv.Error, UnicodeDecodeError) as error:
+    raise ValueError(f'{path} is damaged: {error}.') from error
   if not rows or not {'steps', 'mra_modes', 'mra_transitions'} <= set(rows[0]):
     raise ValueError(f'{path} does not hold the metrics of a run.')
   try:

@@ -91,6 +91,31 @@ def test_figures(
   assert names == {'heights.png', 'contacts.png', 'sequence.png'}
 
 
+def test_page_where_nothing_draws(
+  evaluate: processes.Binary, policy: pathlib.Path, tmp_path: pathlib.Path
+) -> None:
+  page = tmp_path / 'new' / 'report.html'
+  evaluate.start(
+    f'--policy={policy}',
+    '--episodes=1',
+    f'--html={page}',
+    before="os.environ['MUJOCO_GL'] = 'nothing'",
+  )
+  done = evaluate.wait()
+  assert done.code == 0, done.stderr
+  *_, skipped, wrote = done.stdout.splitlines()
+  assert skipped.startswith('No videos: MUJOCO_GL=nothing cannot draw here')
+  assert wrote == f'The page is {page}'
+  assert list(page.parent.iterdir()) == [page]
+  text = page.read_text()
+  for name in _MODES:
+    assert f'>{name}</th>' in text
+  for a, b in itertools.product(_MODES, _MODES):
+    assert f'>{a}-&gt;{b}</th>' in text
+  assert text.count('<img ') == 3 and '<video' not in text
+  assert 'http:' not in text and 'https:' not in text
+
+
 def test_clock_rates(
   evaluate: processes.Binary, policy: pathlib.Path, tmp_path: pathlib.Path
 ) -> None:
@@ -153,6 +178,8 @@ def test_what_changes_the_figures(
     (['--seed=-1'], 'Seed'),
     (['--out={tmp}'], 'folder'),
     (['--out={tmp}/file/report.json'], 'file'),
+    (['--html={tmp}'], 'folder'),
+    (['--html={tmp}/new/report.html', '--episodes=0'], 'episodes'),
     (['--figures={tmp}/file'], 'file'),
     (['--figures={tmp}/file/below'], 'file'),
     (['walk_forward'], "'walk_forward'"),

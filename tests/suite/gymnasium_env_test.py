@@ -224,6 +224,110 @@ class VectorTest(parameterized.TestCase):
     finally:
       envs.close()
 
+  def _batch(self, task: str, count: int, **kwargs: Any) -> Any:
+    envs = gymnasium.make_vec(
+      gymnasium_env.environment_id(task), count, **kwargs
+    )
+    self.addCleanup(envs.close)
+    return envs
+
+  @parameterized.parameters('walk_forward', 'launch', 'pi2')
+  def test_batch_keeps_to_its_spaces(self, task: str) -> None:
+    envs = self._batch(task, 3)
+    self.assertIsInstance(envs, gymnasium_env.BatchedVectorEnv)
+    single = _make(task)
+    self.assertEqual(envs.single_observation_space, single.observation_space)
+    self.assertEqual(envs.single_action_space, single.action_space)
+    observation, infos = envs.reset(seed=1)
+    self.assertIn(observation, envs.observation_space)
+    self.assertTrue(infos['_mode'].all())
+    envs.action_space.seed(1)
+    for _ in range(3):
+      step = envs.step(envs.action_space.sample())
+      self.assertIn(step[0], envs.observation_space)
+      self.assertEqual([part.shape for part in step[1:4]], [(3,)] * 3)
+      self.assertEqual([part.dtype for part in step[2:4]], [bool] * 2)
+
+  def test_batch_of_modes_as_actions_is_single_environments(self) -> None:
+    envs = self._batch('reach_gap', 2, task_kwargs={'policy': 'quickstart'})
+    self.assertIsInstance(envs, gymnasium.vector.SyncVectorEnv)
+
+  def test_worlds_of_a_batch_begin_anew_in_the_step_in_which_they_end(
+    self,
+  ) -> None:
+    envs = self._batch('idle', 3, time_limit=0.3)
+    envs.reset(seed=0)
+    still = envs._worlds.standing_action()
+    kicking = np.full(10, 3.0)
+    actions = np.stack([still, kicking, still]).astype(np.float32)
+    for _ in range(10):
+      observation, _, terminated, truncated, infos = envs.step(actions)
+      ended = terminated | truncated
+      if not ended.any():
+        self.assertNotIn('final_obs', infos)
+        continue
+      np.testing.assert_array_equal(infos['_final_obs'], ended)
+      for world in np.flatnonzero(ended):
+        final = infos['final_obs'][world]
+        self.assertIn(final, envs.single_observation_space)
+        self.assertFalse(np.array_equal(final, observation[world]))
+        self.assertEqual(infos['final_info']['mode'][world], 'idle')
+    np.testing.assert_array_equal(truncated[[0, 2]], [True, True])
+    self.assertFalse(terminated[[0, 2]].any())
+    # One that falls before its time limit.
+    envs = self._batch('idle', 1, time_limit=3.0)
+    envs.reset(seed=0)
+    for _ in range(100):
+      _, _, terminated, truncated, _ = envs.step(kicking[None])
+      if terminated[0] or truncated[0]:
+        break
+    self.assertEqual((terminated[0], truncated[0]), (True, False))
+
+  def test_batch_with_equal_seeds_is_equal(self) -> None:
+    def run(envs: Any, seed: int | None) -> list[np.ndarray]:
+      standing = np.tile(envs._worlds.standing_action(), (4, 1))
+      seen = [envs.reset(seed=seed)[0]]
+      return seen + [envs.step(standing)[0] for _ in range(40)]
+
+    envs = self._batch('pi2', 4, time_limit=0.6)
+    first = run(envs, 5)
+    for other in (run(envs, 5), run(self._batch('pi2', 4, time_limit=0.6), 5)):
+      np.testing.assert_array_equal(first, other)
+    self.assertFalse(np.array_equal(first, run(envs, 6)))
+    self.assertFalse(np.array_equal(first[0][0], first[0][1]))
+
+  def test_batch_needs_worlds_and_a_beginning(self) -> None:
+    with self.assertRaisesRegex(ValueError, 'num_envs'):
+      gymnasium_env.make_vector('idle', 0)
+    envs = self._batch('idle', 1)
+    with self.assertRaises(gymnasium.error.ResetNeeded):
+      envs.step(np.zeros((1, 10)))
+
+
+class StableBaselinesTest(parameterized.TestCase):
+  def test_trains(self) -> None:
+    stable_baselines3 = pytest.importorskip(
+      'stable_baselines3',
+      reason='Stable-Baselines3 is not installed: the extra `bench`.',
+    )
+    env = _make('walk_forward', time_limit=1.5)
+    learner = stable_baselines3.PPO(
+      'MlpPolicy', env, n_steps=512, batch_size=128, n_epochs=2, seed=0
+    )
+    parameters = lambda: [
+      p.detach().numpy().copy() for p in learner.policy.parameters()
+    ]
+    before = parameters()
+    learner.learn(2048)
+    self.assertEqual(learner.num_timesteps, 2048)
+    for old, new in zip(before, parameters(), strict=True):
+      self.assertFalse(np.array_equal(old, new))
+      self.assertTrue(np.isfinite(new).all())
+    self.assertGreater(len(learner.ep_info_buffer), 10)  # Episodes that ended.
+    observation, _ = env.reset(seed=0)
+    action, _ = learner.predict(observation, deterministic=True)
+    self.assertIn(action, env.action_space)
+
 
 if __name__ == '__main__':
   absltest.main()

@@ -1,6 +1,7 @@
 """Tests of worlds that take mean actions for a while."""
 
 import dataclasses
+from typing import Any
 
 import pytest
 import torch
@@ -99,6 +100,6 @@ def test_policy_learns_nothing_from_quiet_actions(is_quiet: bool) -> None:
   ('name', 'value'),
   [('quiet_share', 1.0), ('quiet_share', -0.1), ('quiet_steps', 0)],
 )
-def test_config_rejects(name: str, value: float) -> None:
+def test_config_rejects(name: str, value: Any) -> None:
   with pytest.raises(ValueError, match=name):
     config_lib.PPOConfig(**{name: value})
