@@ -15,6 +15,7 @@ from dmc_multimode import atomic
 from dmc_multimode.agents import distributed
 
 _FORMAT = 'dmc_multimode.checkpoint.1'
+_MAX_BYTES = 4 << 30  # Larger files are none of ours.
 NAME = 'checkpoint.safetensors'
 PREVIOUS = 'checkpoint.previous.safetensors'
 
@@ -24,13 +25,29 @@ def save_tensors(
   tensors: Mapping[str, torch.Tensor | np.ndarray],
   metadata: Mapping[str, Any],
 ) -> None:
-  """Writes tensors and a JSON-able dictionary into one safetensors file."""
+  """Writes tensors and a JSON-able dictionary into one safetensors file.
+
+  It has a checksum: safetensors itself notices a truncated file, no other bit.
+  """
   converted = {
     key: torch.as_tensor(value).cpu().contiguous()
     for key, value in tensors.items()
   }
-  text = {'json': json.dumps(dict(metadata))}
-  atomic.write(path, safetensors_torch.save(converted, metadata=text))
+  text = json.dumps(dict(metadata))
+  strings = {'json': text, 'crc32': str(_checksum(converted, text))}
+  atomic.write(path, safetensors_torch.save(converted, metadata=strings))
+
+
+def _checksum(tensors: Mapping[str, torch.Tensor], text: str) -> int:
+  """Returns the CRC-32 of everything that a file holds."""
+  found = zlib.crc32(text.encode())
+  for key in sorted(tensors):
+    value = tensors[key]
+    found = zlib.crc32(f'{key} {value.dtype} {value.shape}'.encode(), found)
+    # No view of a scalar has another type, one of a row has.
+    bits = value.contiguous().reshape(-1).view(torch.uint8)
+    found = zlib.crc32(bits.numpy().data, found)
+  return found
 
 
 def load_tensors(
@@ -40,21 +57,29 @@ def load_tensors(
 
   Raises:
     FileNotFoundError: there is no such file.
-    ValueError: it is truncated, or not one of ours.
+    ValueError: it is truncated or damaged, or not one of ours.
   """
   if not path.is_file():
     raise FileNotFoundError(f'{path} does not exist.')
+  if path.stat().st_size > _MAX_BYTES:
+    raise ValueError(f'{path} is too large: dmc_multimode did not write it.')
   try:
     with safetensors.safe_open(str(path), framework='pt') as file:
-      metadata = json.loads((file.metadata() or {})['json'])
+      strings = file.metadata() or {}
+      metadata = json.loads(strings['json'])
       if not isinstance(metadata, dict):
         raise ValueError('its metadata is no object.')
       tensors = {key: file.get_tensor(key) for key in file.keys()}
+    # Older files have none.
+    if 'crc32' in strings:
+      if strings['crc32'] != str(_checksum(tensors, strings['json'])):
+        raise ValueError('its checksum is of other content.')
   except (
     safetensors.SafetensorError,
+    AttributeError,  # A type of numbers that this torch does not know.
     KeyError,
+    RuntimeError,  # Likewise; and RecursionError is one.
     ValueError,
-    RecursionError,
   ) as error:
     raise ValueError(
       f'{path} is truncated or was not written by dmc_multimode: {error}'
@@ -110,7 +135,10 @@ class Checkpointer:
       except (FileNotFoundError, ValueError) as error:
         problem = problem or str(error)
         continue
-      if metadata.get('format') != _FORMAT:
+      if (
+        metadata.get('format') != _FORMAT
+        or type(metadata.get('steps')) is not int
+      ):
         problem = problem or f'{path} is not a training checkpoint.'
         continue
       self._newest_is_damaged = bool(problem)

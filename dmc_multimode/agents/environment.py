@@ -77,7 +77,14 @@ class MeasuredEnvironment(BatchedEnvironment, Protocol):
 
 
 class TrainingEnvironment(BatchedEnvironment, Protocol):
-  """A batched environment that learns which episodes to begin."""
+  """A batched environment that learns which episodes to begin.
+
+  Attributes:
+    invalid_cause: the one of the `causes` that stands for a world whose physics
+      diverged.
+  """
+
+  invalid_cause: int
 
   def learn(
     self,

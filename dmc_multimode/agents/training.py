@@ -15,6 +15,10 @@ from dmc_multimode.agents import loggers
 from dmc_multimode.agents.ppo import acting
 from dmc_multimode.agents.ppo import learning
 
+_MOST_DIVERGED = 0.001  # Share of control steps.
+_WINDOW = 20_000  # Control steps, at least, of which that is the share.
+_TRACKED = ('returns', 'survival', 'seen')
+
 
 @dataclasses.dataclass(frozen=True)
 class TrainingConfig:
@@ -137,6 +141,8 @@ class TrainingLoop:
     self._communicator = communicator
     self._returns = ReturnTracker(len(mode_names))
     self.steps = self.iterations = 0
+    self._diverged = 0  # Worlds, by now.
+    self._window = np.zeros(2, dtype=np.int64)  # Worlds that diverged, steps.
     self._observation = torch.from_numpy(environment.reset())
     self._buffers = self._allocate()
 
@@ -181,18 +187,52 @@ class TrainingLoop:
     worlds_in_all = self._environment.num_worlds * self._communicator.size
     self.steps += self._length * worlds_in_all
     self.iterations += 1
-    self._learn_from_episodes(np.concatenate(finished))
+    self._learn_from_episodes(
+      np.concatenate(finished), self._length * worlds_in_all
+    )
 
-  def _learn_from_episodes(self, mine: np.ndarray) -> None:
-    """Tells what the episodes of all ranks have come to; see `_table`."""
+  def _learn_from_episodes(self, mine: np.ndarray, steps: int) -> None:
+    """Tells what the episodes of all ranks have come to.
+
+    Args:
+      mine: episodes of this rank, see `_table`.
+      steps: control steps of all ranks in which they ended.
+    """
     table = self._communicator.gather(torch.from_numpy(mine)).numpy()
     # As if one rank had all worlds: by time first.
     table = table[np.argsort(table[:, 0], kind='stable')]
     initial, final, causes = table[:, 1:4].T.astype(np.int64)
+    self._count_diverged(causes, steps)
     episodes = _Episodes(initial, final, table[:, 4], causes)
     self._returns.update(episodes)
     if self._communicator.size > 1:
       self._environment.learn(initial, final, table[:, 4], causes == 0)
+
+  def _count_diverged(self, causes: np.ndarray, steps: int) -> None:
+    """Counts the worlds that diverged, which have begun anew by themselves.
+
+    Args:
+      causes: of the ends of episodes.
+      steps: control steps in which these were.
+
+    Raises:
+      FloatingPointError: there are too many: more than `_MOST_DIVERGED` of the
+        control steps since the last window ended, which it does as soon as it
+        has `_WINDOW` steps, or of a whole one before it has.
+    """
+    diverged = int(np.sum(causes == self._environment.invalid_cause))
+    self._diverged += diverged
+    self._window += diverged, steps
+    count, length = self._window.tolist()
+    if count > _MOST_DIVERGED * max(length, _WINDOW):
+      raise FloatingPointError(
+        f'The physics of {count} worlds diverged in {length:,} control steps; '
+        f'{_MOST_DIVERGED:.1%} of {max(length, _WINDOW):,} is the most. The '
+        'last checkpoint is unharmed: resume from it; if it recurs, start anew '
+        'with a shorter physics_timestep or a lower learning rate.'
+      )
+    if length >= _WINDOW:
+      self._window[:] = 0
 
   def run(
     self,
@@ -241,6 +281,7 @@ class TrainingLoop:
     return {
       'steps': self.steps,
       'steps_per_second': speed,
+      'diverged': self._diverged,
       **self._returns.summary(self._names),
       **metrics,
       **self._probabilities(),
@@ -257,9 +298,11 @@ class TrainingLoop:
     tensors: dict[str, Any] = {}
     for prefix, part in self._parts():
       tensors |= {f'{prefix}/{k}': v for k, v in part.state().items()}
-    for name in ('returns', 'survival', 'seen'):
+    for name in _TRACKED:
       tensors[f'tracker/{name}'] = getattr(self._returns, name).copy()
     values = {'steps': self.steps, 'iterations': self.iterations}
+    if self._diverged:
+      values['diverged'] = self._diverged
     if self._communicator.size > 1:
       values['ranks'] = self._communicator.size
     return checkpointing.collect(self._communicator, tensors), values
@@ -294,11 +337,17 @@ class TrainingLoop:
       self._observation = torch.from_numpy(
         self._environment.restore(world_state)
       )
-      for name, value in learning.part_of(tensors, 'tracker/').items():
-        getattr(self._returns, name)[:] = value.numpy()
+      for name in _TRACKED:
+        getattr(self._returns, name)[:] = tensors[f'tracker/{name}'].numpy()
+      self.steps = int(values['steps'])
+      self.iterations = int(values['iterations'])
+      self._diverged = int(values.get('diverged', 0))  # Older ones lack it.
     except KeyError as error:
       raise ValueError(f'The checkpoint lacks {error}.') from error
-    self.steps, self.iterations = values['steps'], values['iterations']
+    except (IndexError, OverflowError, RuntimeError, TypeError) as error:
+      reason = ' '.join(str(error).split())
+      raise ValueError(f'The checkpoint is damaged: {reason}') from error
+    self._window[:] = 0
 
 
 def _table(step: int, results: environment_lib.EpisodeResults) -> np.ndarray:

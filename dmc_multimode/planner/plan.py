@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import pathlib
+import reprlib
 from typing import Any, Mapping, NamedTuple, Sequence
 
 import numpy as np
@@ -36,7 +37,9 @@ class ModePlan:
       )
     for name in self.modes:
       if not (isinstance(name, str) and name):
-        raise ValueError(f'A plan is of names of modes, got {name!r}.')
+        raise ValueError(
+          f'A plan is of names of modes, got {reprlib.repr(name)}.'
+        )
     if not (math.isfinite(self.knot_duration) and self.knot_duration > 0):
       raise ValueError(
         f'Knots must last longer than 0 s, got {self.knot_duration}.'
@@ -128,10 +131,15 @@ def from_dict(values: Mapping[str, Any]) -> ModePlan:
   if not isinstance(modes, list):
     raise ValueError('Not a plan: its modes are no list.')
   if isinstance(dt, bool) or not isinstance(dt, (int, float)):
-    raise ValueError(f'Not a plan: dt is {dt!r}, not seconds.')
-  plan = ModePlan(tuple(modes), float(dt))
+    raise ValueError(f'Not a plan: dt is {reprlib.repr(dt)}, not seconds.')
+  try:
+    plan = ModePlan(tuple(modes), float(dt))
+  except OverflowError as error:  # An integer of hundreds of digits.
+    raise ValueError(f'Not a plan: {error}.') from error
   if knots != len(modes):
-    raise ValueError(f'Not a plan: {len(modes)} modes for {knots!r} knots.')
+    raise ValueError(
+      f'Not a plan: {len(modes)} modes for {reprlib.repr(knots)} knots.'
+    )
   return plan
 
 

@@ -1,6 +1,8 @@
 """Pushes that a robot meets on its way, and that no planner knows of."""
 
 import dataclasses
+import math
+import reprlib
 from typing import Any, Sequence
 
 import numpy as np
@@ -68,7 +70,7 @@ def from_list(values: Any) -> tuple[Push, ...]:
       Push(value['time'], tuple(value['velocity'])) for value in values
     )
   except (KeyError, TypeError) as error:
-    raise ValueError(f'These are no pushes: {values!r}.') from error
+    raise ValueError(f'These are no pushes: {reprlib.repr(values)}.') from error
 
 
 def by_knot(
@@ -86,8 +88,10 @@ def by_knot(
   """
   found: dict[int, np.ndarray] = {}
   for push in pushes:
-    knot = round(push.time / knot_duration)
-    if abs(knot * knot_duration - push.time) > _TOLERANCE:
+    ratio = push.time / knot_duration
+    is_finite = math.isfinite(ratio)  # Knots may be next to no seconds long.
+    knot = round(ratio) if is_finite else knots
+    if is_finite and abs(knot * knot_duration - push.time) > _TOLERANCE:
       raise ValueError(
         f'The push at {push.time:g} s is not at a knot: there is one every '
         f'{knot_duration:g} s.'

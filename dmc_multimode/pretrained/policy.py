@@ -223,7 +223,7 @@ def _load_weights(network: networks.ActorCritic, path: pathlib.Path) -> None:
       f'{expected.get(wrong)}; the weights are of another network or of other '
       'latents.'
     )
-  if not all(torch.isfinite(v).all() for v in weights.values()):
-    raise ValueError(f'{path} holds weights that are not finite.')
   cast = {k: weights[k].to(v.dtype) for k, v in network.state_dict().items()}
+  if not all(torch.isfinite(v).all() for v in cast.values()):
+    raise ValueError(f'{path} holds weights that are not finite.')
   network.load_state_dict(cast, assign=True)

@@ -77,7 +77,10 @@ class BatchedImitation:
     moving: whether each world's robot moves, [B]; one that is held still is
       where it is, and costs no time, while the clocks run on. No `state` holds
       it.
+    invalid_cause: see `EpisodeResults.causes`, of a world that diverged.
   """
+
+  invalid_cause = terminations.INVALID
 
   def __init__(
     self,
@@ -492,6 +495,11 @@ class BatchedImitation:
         f'{self.batch.state.shape}: use the same number of worlds and task.'
       )
     for name, field in self._fields().items():
+      if state[name].shape != field.shape:
+        raise ValueError(
+          f'The saved worlds have {name} of shape {state[name].shape}, these '
+          f'{field.shape}: use the same task.'
+        )
       field[:] = state[name]
     self._total_steps = int(state['total_steps'])
     for name, part in self._stateful_parts():

@@ -1,0 +1,445 @@
+"""Files that somebody else made: nothing in them is executed."""
+
+import ast
+import json
+import pathlib
+import pickle
+from typing import Any, Callable, Iterator
+import zipfile
+
+from hypothesis import given
+from hypothesis import settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from safetensors import torch as safetensors_torch
+import torch
+
+import dmc_multimode
+from dmc_multimode import pretrained
+from dmc_multimode import resources
+from dmc_multimode.agents import checkpointing
+from dmc_multimode.agents import loggers
+from dmc_multimode.bin import launches
+from dmc_multimode.bin import run_setup
+from dmc_multimode.bin import training_figures
+from dmc_multimode.modes import codebook
+from dmc_multimode.modes import encoder
+from dmc_multimode.modes import files
+from dmc_multimode.modes import library
+from dmc_multimode.planner import plan as plan_lib
+from dmc_multimode.pretrained import policy as policy_lib
+from dmc_multimode.suite import config
+from dmc_multimode.suite import mini_biped
+from tests.bin import untrained
+
+_PACKAGE = pathlib.Path(dmc_multimode.__file__).parent
+_MODES = ('idle', 'walk_forward')
+
+# Makes what is to be read into a folder; then reads it.
+_Write = Callable[[pathlib.Path], Any]
+_Read = Callable[[pathlib.Path], Any]
+
+
+class _Planted:
+  """A pickle that makes a file where it is loaded."""
+
+  def __init__(self, mark: pathlib.Path) -> None:
+    self._mark = mark
+
+  def __reduce__(self) -> tuple[Any, ...]:
+    return pathlib.Path.touch, (self._mark,)
+
+
+def _pickle(path: pathlib.Path, mark: pathlib.Path) -> None:
+  path.write_bytes(pickle.dumps(_Planted(mark)))
+
+
+def _torch(path: pathlib.Path, mark: pathlib.Path) -> None:
+  torch.save(_Planted(mark), path)
+  assert zipfile.is_zipfile(path)
+
+
+def _old_torch(path: pathlib.Path, mark: pathlib.Path) -> None:
+  torch.save(_Planted(mark), path, _use_new_zipfile_serialization=False)
+
+
+def _numpy(path: pathlib.Path, mark: pathlib.Path) -> None:
+  with open(path, 'wb') as file:
+    np.save(file, np.array([_Planted(mark)]), allow_pickle=True)
+
+
+def _policy(folder: pathlib.Path) -> None:
+  untrained.save(folder, _MODES, config.ImitationConfig(), {})
+
+
+def _checkpoint(folder: pathlib.Path) -> None:
+  for steps in (1, 2):
+    checkpointing.Checkpointer(folder).save(
+      {'x': torch.zeros(3)}, {'steps': steps}
+    )
+
+
+def _run(folder: pathlib.Path) -> None:
+  motions = library.resolve(_MODES)
+  run = run_setup.RunConfig(modes=','.join(_MODES), one_hot=True)
+  run_setup.save_run(folder, run, motions, codebook.one_hot(motions))
+
+
+def _encoder(folder: pathlib.Path) -> None:
+  rough = encoder.EncoderConfig(max_rmse=10.0, min_separation=0.0, hidden=4)
+  encoder.train(library.resolve(_MODES), rough).save(folder)
+
+
+def _codebook(folder: pathlib.Path) -> None:
+  codebook.one_hot(library.resolve(_MODES)).save(folder)
+
+
+def _nothing(folder: pathlib.Path) -> None:
+  """What is planted is all there is."""
+
+
+def _read_previous(folder: pathlib.Path) -> None:
+  """As `Checkpointer.load` does where the newest one is damaged."""
+  checkpointing.load_tensors(folder / checkpointing.PREVIOUS)
+
+
+def _read_plan(name: str) -> _Read:
+  return lambda folder: plan_lib.read(folder / name)
+
+
+_READERS: list[tuple[str, _Write, _Read]] = [
+  (policy_lib.WEIGHTS_FILE, _policy, pretrained.load),
+  (policy_lib.DESCRIPTION_FILE, _policy, pretrained.load),
+  (policy_lib.METRICS_FILE, _policy, pretrained.load),
+  (
+    checkpointing.NAME,
+    _nothing,
+    lambda folder: checkpointing.Checkpointer(folder).load(),
+  ),
+  (checkpointing.PREVIOUS, _checkpoint, _read_previous),
+  (run_setup.CONFIG_FILE, _run, run_setup.load_run),
+  (encoder.WEIGHTS_FILE, _encoder, encoder.load),
+  (encoder.CONFIG_FILE, _encoder, encoder.load),
+  (codebook.FILE, _codebook, lambda f: codebook.load(f / codebook.FILE)),
+  ('modes.yaml', _nothing, lambda folder: files.load(folder / 'modes.yaml')),
+  ('modes.json', _nothing, lambda folder: files.load(folder / 'modes.json')),
+  ('modes.pkl', _nothing, lambda folder: files.load(folder / 'modes.pkl')),
+  ('plan.json', _nothing, _read_plan('plan.json')),
+  ('plan.pkl', _nothing, _read_plan('plan.pkl')),
+  ('metrics.csv', _nothing, training_figures.read),
+]
+
+
+@pytest.mark.parametrize('plant', [_pickle, _torch, _old_torch, _numpy])
+@pytest.mark.parametrize(
+  ('name', 'write', 'read'), _READERS, ids=[row[0] for row in _READERS]
+)
+def test_no_pickle_is_executed(
+  tmp_path: pathlib.Path,
+  name: str,
+  write: _Write,
+  read: _Read,
+  plant: Callable[[pathlib.Path, pathlib.Path], None],
+) -> None:
+  folder, mark = tmp_path / 'folder', tmp_path / 'ran'
+  folder.mkdir()
+  write(folder)
+  plant(folder / name, mark)
+  with pytest.raises(ValueError) as caught:
+    read(folder)
+  assert name in str(caught.value)
+  assert len(str(caught.value).splitlines()) == 1
+  assert not mark.exists()
+
+
+def test_log_of_a_run_is_not_executed(tmp_path: pathlib.Path) -> None:
+  path, mark = tmp_path / 'metrics.csv', tmp_path / 'ran'
+  _pickle(path, mark)
+  with pytest.raises(ValueError, match=r'metrics\.csv.*move it away'):
+    loggers.CSVLogger(path, resume_from=10)
+  assert not mark.exists()
+
+
+def test_note_of_a_launch_is_not_executed(
+  tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  monkeypatch.setenv('TORCHELASTIC_RUN_ID', 'launch')
+  _run(tmp_path)
+  _pickle(tmp_path / launches.FILE, tmp_path / 'ran')
+  with pytest.raises(ValueError):
+    launches.is_restart(tmp_path)
+  assert not (tmp_path / 'ran').exists()
+
+
+def test_they_would_be_executed(tmp_path: pathlib.Path) -> None:
+  """Otherwise the tests above would prove little."""
+  marks = [tmp_path / f'ran{i}' for i in range(3)]
+  path = tmp_path / 'file'
+  _pickle(path, marks[0])
+  pickle.loads(path.read_bytes())
+  _torch(path, marks[1])
+  torch.load(path, weights_only=False)
+  _numpy(path, marks[2])
+  np.load(path, allow_pickle=True)
+  assert all(mark.exists() for mark in marks)
+
+
+# The source.
+
+_UNSAFE_MODULES = {'pickle', 'marshal', 'shelve', 'dill', 'cloudpickle'}
+_UNSAFE_CALLS = {
+  *('eval', 'exec', 'compile', '__import__', 'torch.load', 'np.load'),
+  *('yaml.load', 'yaml.unsafe_load', 'yaml.full_load', 'os.system'),
+  *('dist.gather_object', 'dist.scatter_object_list'),
+  *('dist.all_gather_object', 'dist.broadcast_object_list'),
+}
+_XML_CALLS = {
+  *('from_path', 'from_file', 'from_xml_path', 'from_xml_string'),
+  *('from_binary_path', 'from_string', 'from_zip'),
+}
+
+
+def _calls() -> Iterator[tuple[str, str, ast.Call]]:
+  """Every call in the package: module, name of what is called, node."""
+  for path in sorted(_PACKAGE.rglob('*.py')):
+    module = str(path.relative_to(_PACKAGE).with_suffix(''))
+    for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+      if isinstance(node, ast.Call):
+        yield module, ast.unparse(node.func), node
+
+
+def test_the_package_calls_nothing_that_executes_data() -> None:
+  found = [(m, name) for m, name, _ in _calls() if name in _UNSAFE_CALLS]
+  assert not found
+  for path in _PACKAGE.rglob('*.py'):
+    for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+      if isinstance(node, ast.Import):
+        names = {alias.name.partition('.')[0] for alias in node.names}
+        assert not names & _UNSAFE_MODULES, path
+      if isinstance(node, ast.ImportFrom):
+        assert (node.module or '').partition('.')[0] not in _UNSAFE_MODULES
+
+
+def test_xml_comes_from_the_package_alone() -> None:
+  """One file of the package, and what Composer made of it."""
+  found = {
+    (module, name): ast.unparse(node.args[0])
+    for module, name, node in _calls()
+    if name.rpartition('.')[2] in _XML_CALLS
+  }
+  assert found == {
+    (
+      'suite/mini_biped',
+      'mjcf.from_path',
+    ): "str(resources.path('xml', 'mini_biped.xml'))",
+    ('suite/batched', 'mujoco.MjSpec.from_string'): 'root.to_xml_string()',
+  }
+
+
+@pytest.mark.parametrize(
+  'name', ['../setup.cfg', '/etc/passwd', 'a/../../setup.cfg', '', 'absent.xml']
+)
+def test_no_other_xml_can_be_named(name: str) -> None:
+  with pytest.raises(FileNotFoundError):
+    resources.path('xml', name)
+
+
+def test_xml_of_the_working_directory_is_ignored(
+  tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  for folder in (tmp_path, tmp_path / 'xml', tmp_path / 'dmc_multimode/xml'):
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / 'mini_biped.xml').write_text('<mujoco model="planted"/>')
+  monkeypatch.chdir(tmp_path)
+  walker = mini_biped.MiniBiped()
+  assert len(walker.actuators) == len(mini_biped.JOINTS)
+
+
+@pytest.mark.parametrize('field', ['xml', 'mjcf', 'model', 'include', 'assets'])
+def test_no_file_of_a_user_may_hold_xml(
+  tmp_path: pathlib.Path, field: str
+) -> None:
+  mode = files.motion_to_dict(library.modes()['idle'])
+  path = tmp_path / 'modes.json'
+  path.write_text(json.dumps({**mode, field: '<mujoco/>'}))
+  with pytest.raises(files.ModeFileError, match=f'unknown field {field!r}'):
+    files.load(path)
+
+
+# Limits come before memory.
+
+
+def _sparse(path: pathlib.Path, size: int) -> None:
+  with open(path, 'r+b') as file:
+    file.truncate(size)  # It takes no room.
+
+
+@pytest.mark.parametrize(
+  ('name', 'write', 'read', 'size'),
+  [
+    (encoder.CONFIG_FILE, _encoder, encoder.load, 65 << 20),
+    (encoder.WEIGHTS_FILE, _encoder, encoder.load, 65 << 20),
+    (
+      codebook.FILE,
+      _codebook,
+      lambda folder: codebook.load(folder / codebook.FILE),
+      2 << 20,
+    ),
+    (
+      checkpointing.NAME,
+      _checkpoint,
+      lambda folder: checkpointing.load_tensors(folder / checkpointing.NAME),
+      5 << 30,
+    ),
+  ],
+)
+def test_too_large(
+  tmp_path: pathlib.Path, name: str, write: _Write, read: _Read, size: int
+) -> None:
+  write(tmp_path)
+  _sparse(tmp_path / name, size)
+  with pytest.raises(ValueError, match='too large'):
+    read(tmp_path)
+
+
+def _weights(header: dict[str, Any], size: int) -> bytes:
+  text = json.dumps(header).encode()
+  return len(text).to_bytes(8, 'little') + text + bytes(size)
+
+
+_METADATA = {'__metadata__': {'json': json.dumps({'format': 'x'})}}
+
+
+@pytest.mark.parametrize(
+  'header',
+  [
+    {'x': {'dtype': 'F32', 'shape': [10**12], 'data_offsets': [0, 8]}},
+    {'x': {'dtype': 'F32', 'shape': [2], 'data_offsets': [0, 4 * 10**12]}},
+    {'x': {'dtype': 'F32', 'shape': [2**32, 2**32], 'data_offsets': [0, 8]}},
+    {'x': {'dtype': 'F32', 'shape': [-2], 'data_offsets': [0, 8]}},
+    {'x': {'dtype': 'F32', 'shape': [2], 'data_offsets': [8, 0]}},
+    {'x': {'dtype': 'PY', 'shape': [1], 'data_offsets': [0, 8]}},
+    {'x': {'dtype': 'F32'}},
+    {'x': 3},
+  ],
+)
+def test_shapes_that_the_file_does_not_hold(
+  tmp_path: pathlib.Path, header: dict[str, Any]
+) -> None:
+  path = tmp_path / 'file'
+  path.write_bytes(_weights({**_METADATA, **header}, 8))
+  with pytest.raises(ValueError, match='truncated or was not written by'):
+    checkpointing.load_tensors(path)
+
+
+def test_header_longer_than_its_file(tmp_path: pathlib.Path) -> None:
+  path = tmp_path / 'file'
+  path.write_bytes((2**63).to_bytes(8, 'little') + b'{}')
+  with pytest.raises(ValueError, match='truncated or was not written by'):
+    checkpointing.load_tensors(path)
+
+
+@pytest.mark.parametrize('kind', [torch.float8_e4m3fn, torch.complex64])
+def test_weights_of_another_type(
+  tmp_path: pathlib.Path, kind: torch.dtype
+) -> None:
+  """Cast where that can be done; refused otherwise, and never a traceback."""
+  _encoder(tmp_path)
+  path = tmp_path / encoder.WEIGHTS_FILE
+  weights = safetensors_torch.load(path.read_bytes())
+  other = {key: value.to(kind) for key, value in weights.items()}
+  content = safetensors_torch.save(other)
+  path.write_bytes(content)
+  described = json.loads((tmp_path / encoder.CONFIG_FILE).read_text())
+  described['weights_sha256'] = encoder.digest(content)
+  (tmp_path / encoder.CONFIG_FILE).write_text(json.dumps(described))
+  with pytest.raises(ValueError, match='do not fit'):
+    encoder.load(tmp_path)
+
+
+# Plans.
+
+_PLAN = {
+  'plan': ['idle', 'launch', 'idle'],
+  'knots': 3,
+  'dt': 0.3,
+  'arena': 'gap',
+  'sizes': {'width': 0.3},
+  'seed': 2,
+  'pushes': [{'time': 0.6, 'velocity': [0.5, 0.0, -0.1]}],
+}
+_SCALARS = st.one_of(
+  st.none(),
+  st.booleans(),
+  st.integers(),
+  st.floats(),
+  st.text(max_size=5),
+  st.sampled_from([10**400, 1e-320, 1e308, float('nan'), float('inf'), 1e4]),
+)
+_VALUES = st.recursive(
+  _SCALARS,
+  lambda inner: st.one_of(
+    st.lists(inner, max_size=4),
+    st.dictionaries(st.sampled_from(['time', 'velocity', 'a']), inner),
+  ),
+  max_leaves=6,
+)
+
+
+def _only_a_value_error(call: Callable[[], Any]) -> None:
+  try:
+    call()
+  except ValueError as error:
+    assert len(str(error).splitlines()) == 1
+    assert len(str(error)) < 1000
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(st.dictionaries(st.sampled_from(sorted(_PLAN)), _VALUES, min_size=1))
+def test_values_of_a_plan(changes: dict[str, Any]) -> None:
+  _only_a_value_error(lambda: plan_lib.course({**_PLAN, **changes}))
+
+
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(
+  st.integers(0, len(json.dumps(_PLAN))),
+  st.integers(0, 8),
+  st.text('[]{}:,"0123456789eE.+-ntf\\u \x00\ud800', max_size=6),
+)
+def test_edits_of_a_plan(
+  tmp_path_factory: pytest.TempPathFactory, start: int, cut: int, text: str
+) -> None:
+  path = tmp_path_factory.getbasetemp() / 'plan.json'
+  valid = json.dumps(_PLAN)
+  edited = valid[:start] + text + valid[start + cut :]
+  path.write_bytes(edited.encode('utf-8', 'surrogatepass'))
+  _only_a_value_error(lambda: plan_lib.course(plan_lib.read(path)))
+
+
+@pytest.mark.parametrize(
+  'changes',
+  [
+    {'dt': 10**400},
+    {'dt': 1e-320},
+    {'dt': 1e-320, 'pushes': [{'time': -1e4, 'velocity': [0, 0, 0]}]},
+    {'knots': 'x' * 100_000},
+    {'dt': 'x' * 100_000},
+    {'plan': ['idle', 'launch', ['x' * 100_000]]},
+    {'pushes': 'x' * 100_000},
+  ],
+)
+def test_plans_that_once_got_through(changes: dict[str, Any]) -> None:
+  with pytest.raises(ValueError) as caught:
+    plan_lib.course({**_PLAN, **changes})
+  assert len(str(caught.value)) < 1000
+
+
+@pytest.mark.parametrize('text', ['[' * 100_000, '{"latents": {"a": [1e999]}}'])
+def test_codebooks_that_once_got_through(
+  tmp_path: pathlib.Path, text: str
+) -> None:
+  path = tmp_path / codebook.FILE
+  path.write_text(text)
+  with pytest.raises(ValueError, match='is not a codebook'):
+    codebook.load(path)
