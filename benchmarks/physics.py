@@ -200,7 +200,7 @@ class Course:
     """Compiles the models and collects the states."""
     episodes = episodes_lib.TransitionEpisodes(
       reference.ReferenceBank(policy.motions),
-      steps_from_ground=config.steps_from_ground,
+      commands_from_ground=config.commands_from_ground,
     )
     make = lambda variant: _Worlds(
       variant,

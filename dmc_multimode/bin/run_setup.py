@@ -279,7 +279,7 @@ def _make_environment(
     motions,
     codebook,
     episodes.TransitionEpisodes(
-      bank, config.sampling, config.task.steps_from_ground
+      bank, config.sampling, config.task.commands_from_ground
     ),
     track.make(
       'flat', _OBSTACLE_SEGMENTS if config.task.obstacles else _FLAT_SEGMENTS

@@ -224,7 +224,7 @@ def evaluate_transitions(
       final,
       cases[:, 2],
       cases[:, 3],
-      evaluator.config.steps_from_ground,
+      evaluator.config.commands_from_ground,
     ),
     'transitions',
   )

@@ -185,7 +185,6 @@ class ReferenceBank:
     self._landings = self._next_touch_downs()
     self._airborne = self.has_contacts[:, None] & ~self._contacts.any(axis=-1)
     modes = np.arange(num)
-    self.has_step = np.array([m.step is not None for m in self.motions])
     self.touchdowns = np.where(
       self.takeoffs > 0, self.grounded(modes, self.takeoffs), 0.0
     )

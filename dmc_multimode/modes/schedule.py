@@ -69,27 +69,29 @@ def transitions(
   final: np.ndarray,
   clips: np.ndarray,
   phases: np.ndarray,
-  steps_from_ground: bool = True,
+  commands_from_ground: bool = True,
 ) -> ModeSchedule:
   """The episodes of Algorithm 1: m_i until t_s, then m_f.
 
-  t_s is `clips + phases` clips of the initial mode, but a mode with a take-off
-  is left only after it has landed: there is no turning back in mid-crouch, and
-  a motion that began in the air above an edge would begin on the wrong plane.
+  t_s is `clips + phases` clips of the initial mode, but a robot in flight
+  cannot obey: it goes on to where it lands, which the next reference has left
+  by then, or where the block of a launch stands. So a command waits for the
+  touch-down, and for the end of a mode with a take-off: there is no turning
+  back in mid-crouch, nor at the moment of a landing.
 
   Args:
     bank: the mode set.
     initial, final: mode indices, [B].
     clips, phases: clip_s and phi_s, [B].
-    steps_from_ground: whether a mode that calls for a step waits until the
-      initial mode has landed: a robot in flight cannot help where it lands,
-      which may be where the step would be.
+    commands_from_ground: without, commands come in flight, too, and a mode with
+      a take-off is left from its touch-down on.
   """
-  cycles = clips + phases
-  waits = steps_from_ground & bank.has_step[final]
-  then = np.where(bank.transient[initial], np.minimum(cycles, 1.0), phases)
-  cycles = cycles + waits * (bank.grounded(initial, then) - then)
-  cycles = np.maximum(cycles, bank.touchdowns[initial])
+  cycles, earliest = clips + phases, bank.touchdowns[initial]
+  if commands_from_ground:
+    then = np.where(bank.transient[initial], np.minimum(cycles, 1.0), phases)
+    cycles = cycles + bank.grounded(initial, then) - then
+    earliest = np.where(earliest > 0, 1.0, 0.0)
+  cycles = np.maximum(cycles, earliest)
   switch = cycles * bank.durations[initial]
   modes = np.stack([initial, final], axis=1).astype(np.int64)
   starts = np.stack([np.zeros(len(switch)), switch], axis=1)

@@ -43,8 +43,8 @@ class ImitationConfig:
       random phase, with the reference's velocity.
     edge_noise: half-width of the uniform noise on the distance to a step that
       a mode such as launch needs, metres.
-    steps_from_ground: whether a mode that calls for a step is commanded only
-      when the mode before it is on the ground, see `schedule.transitions`.
+    commands_from_ground: whether a mode is commanded only when the one before
+      it is on the ground, and has made its jump; see `schedule.transitions`.
     joint_noise: standard deviation of the initial joint angles, radians.
     velocity_noise: standard deviation of the initial velocities, m/s and rad/s.
     tilt_noise: standard deviation of the initial roll and pitch, radians.
@@ -71,7 +71,7 @@ class ImitationConfig:
   push_start: int = 0
   reference_starts: float = 0.5
   edge_noise: float = 0.04
-  steps_from_ground: bool = True
+  commands_from_ground: bool = True
   joint_noise: float = 0.05
   velocity_noise: float = 0.1
   tilt_noise: float = 0.03
@@ -208,7 +208,7 @@ def from_dict(values: Mapping[str, Any]) -> ImitationConfig:
     return ImitationConfig(
       **{
         'servo_inertia': False,
-        'steps_from_ground': False,
+        'commands_from_ground': False,
         **values,
         'gains': rewards.RewardGains(**values['gains']),
         'limits': terminations.TerminationLimits(

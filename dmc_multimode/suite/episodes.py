@@ -63,7 +63,7 @@ class TransitionEpisodes:
     self,
     bank: reference.ReferenceBank,
     config: sampling.SamplingConfig | None = None,
-    steps_from_ground: bool = True,
+    commands_from_ground: bool = True,
   ):
     """Samples over the modes of `bank`; see `schedule.transitions`.
 
@@ -71,7 +71,7 @@ class TransitionEpisodes:
       ValueError: a mode that is to be practised more is none of these.
     """
     self._bank, self._config = bank, config or sampling.SamplingConfig()
-    self._steps_from_ground = steps_from_ground
+    self._commands_from_ground = commands_from_ground
     self._gaits = np.flatnonzero(bank.gaits)
     self._focused = np.array(
       [bank.index(name) for name in self._config.focused], dtype=np.int64
@@ -93,7 +93,7 @@ class TransitionEpisodes:
     clips = random_state.choice(schedule_lib.CLIPS, size=len(ids))
     phases = random_state.choice(schedule_lib.SWITCH_PHASES, size=len(ids))
     schedule = schedule_lib.transitions(
-      self._bank, initial, final, clips, phases, self._steps_from_ground
+      self._bank, initial, final, clips, phases, self._commands_from_ground
     )
     return Episodes(schedule, initial, final)
 

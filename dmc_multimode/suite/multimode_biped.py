@@ -76,7 +76,7 @@ def make_task(
   if episodes is None:
     episodes = episodes_lib.TransitionEpisodes(
       reference.ReferenceBank(motions),
-      steps_from_ground=config.steps_from_ground,
+      commands_from_ground=config.commands_from_ground,
     )
   return imitation.Imitation(
     mini_biped.MiniBiped(),

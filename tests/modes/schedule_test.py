@@ -69,27 +69,29 @@ class BuildersTest(parameterized.TestCase):
       phases=np.array([0.25, 0.5, 0.25, 0.25]),
     )
     np.testing.assert_array_equal(plan.modes[:, 1], [0, 2, 0, 1])
-    # Walk lasts 0.6 s; launch 1.1 s, and it lands at phase 0.82.
-    expected = [0.15, 0.9, 0.82 * 1.1, 1.25 * 1.1]
+    # Walk lasts 0.6 s; launch 1.1 s, and it is left as a whole.
+    expected = [0.15, 0.9, 1.1, 1.25 * 1.1]
     np.testing.assert_allclose(plan.starts[:, 1], expected)
 
-  def test_a_step_waits_for_the_ground(self) -> None:
+  def test_commands_wait_for_the_ground(self) -> None:
     bank = _bank()
     leap, launch = bank.index('leap_forward'), bank.index('launch')
     plan = lambda **kwargs: schedule.transitions(
       bank,
-      initial=np.array([leap, leap, leap, leap]),
-      final=np.array([launch, launch, launch, 0]),
-      clips=np.array([0, 1, 0, 0]),
-      phases=np.array([0.5, 0.5, 0.75, 0.5]),
+      initial=np.array([leap, leap, leap, launch, launch]),
+      final=np.array([launch, 0, launch, 0, launch]),
+      clips=np.array([0, 1, 0, 0, 1]),
+      phases=np.array([0.5, 0.5, 0.75, 0.5, 0.5]),
       **kwargs,
     )
-    # A leap lasts 1.2 s and flies from phase 0.42 to 0.70.
+    # A leap lasts 1.2 s and flies from phase 0.42 to 0.70; a launch lasts 1.1
+    # s, lands at 0.82 and then stands.
     np.testing.assert_allclose(
-      plan().starts[:, 1], [0.70 * 1.2, 1.70 * 1.2, 0.75 * 1.2, 0.5 * 1.2]
+      plan().starts[:, 1], [0.7 * 1.2, 1.7 * 1.2, 0.75 * 1.2, 1.1, 1.5 * 1.1]
     )
     np.testing.assert_allclose(
-      plan(steps_from_ground=False).starts[:, 1], [0.6, 1.8, 0.9, 0.6]
+      plan(commands_from_ground=False).starts[:, 1],
+      [0.6, 1.8, 0.9, 0.82 * 1.1, 1.5 * 1.1],
     )
 
   def test_from_knots(self) -> None:

@@ -137,8 +137,8 @@ class ImitationConfigTest(parameterized.TestCase):
 
   def test_old_commands_did_not_wait_for_the_ground(self) -> None:
     values = config.to_dict(config.ImitationConfig())
-    del values['steps_from_ground']
-    self.assertFalse(config.from_dict(values).steps_from_ground)
+    del values['commands_from_ground']
+    self.assertFalse(config.from_dict(values).commands_from_ground)
 
   @parameterized.parameters(
     {'remove': 'gains'},

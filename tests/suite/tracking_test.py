@@ -167,7 +167,11 @@ class CommandTest(parameterized.TestCase):
     self._run(tracker, 1)
     np.testing.assert_array_equal(tracker.commands(), [[0, 0, 1, 0]])
 
-  def test_launch_is_left_only_after_its_touch_down(self) -> None:
+  @parameterized.parameters((True, 1.0), (False, 0.82))
+  def test_launch_is_left_only_when_it_is_over(
+    self, commands_from_ground: bool, expected: float
+  ) -> None:
+    """Or, where commands need not come from the ground, has touched down."""
     motions = library.resolve('pi2')
     bank = reference.ReferenceBank(motions)
     launch, count = bank.index('launch'), len(schedule.SWITCH_PHASES)
@@ -177,6 +181,7 @@ class CommandTest(parameterized.TestCase):
       np.zeros(count, dtype=np.int64),
       np.zeros(count),
       np.array(schedule.SWITCH_PHASES),
+      commands_from_ground,
     )
     tracker = tracking.ModeTracker(
       motions, codebook.one_hot(motions), 0.03, count, 2
@@ -190,7 +195,7 @@ class CommandTest(parameterized.TestCase):
       tracker.command(ids, modes, np.zeros((len(ids), 3)), 0.0 * ids)
     # To half a control step.
     half = 0.5 * 0.03 / bank.durations[launch] + 1e-9
-    np.testing.assert_allclose(left, [0.82] * count, atol=half)
+    np.testing.assert_allclose(left, [expected] * count, atol=half)
 
 
 class ExpectedSupportTest(parameterized.TestCase):
