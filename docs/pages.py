@@ -17,6 +17,10 @@ _ROOT = pathlib.Path(__file__).parents[1]
 _PACKAGE = 'dmc_multimode'
 _REST = 'package'  # The page of modules that are in no part.
 _OUTSIDE = re.compile(r'\[([^\]]*)\]\(\.\./[^)]*\)')  # A link out of `docs`.
+# A link from the root to what is no page: CITATION.cff.
+_NO_PAGE = re.compile(
+  r'\[([^\]]*)\]\((?!docs/|https?:|#|CONTRIBUTING\.md)[^)]*\)'
+)
 
 
 def on_files(files: Any, config: Any) -> Any:
@@ -39,7 +43,8 @@ def on_page_markdown(markdown: str, **kwargs: Any) -> str:
 
 def _read(name: str) -> str:
   """Returns a page that lies beside `docs`, its links as seen from inside."""
-  return (_ROOT / name).read_text().replace('](docs/', '](')
+  text = _NO_PAGE.sub(r'\1', (_ROOT / name).read_text())
+  return text.replace('](docs/', '](')
 
 
 def _reference() -> dict[str, str]:

@@ -252,7 +252,7 @@ class TrainingLoop:
       keep: called every `config.keep_every` control steps.
     """
     began = saved = logged = time.monotonic()
-    logged_steps = self.steps
+    logged_steps, saved_steps = self.steps, -1
     while self.steps < config.steps:
       before = self.steps
       self._collect()
@@ -272,10 +272,12 @@ class TrainingLoop:
       )
       if save_now:
         save()
-        saved = time.monotonic()
+        saved, saved_steps = time.monotonic(), self.steps
       if stop:
         break
-    save()
+    # Twice the same would leave no earlier checkpoint to fall back to.
+    if self.steps != saved_steps:
+      save()
 
   def _row(self, metrics: dict[str, float], speed: float) -> dict[str, float]:
     return {

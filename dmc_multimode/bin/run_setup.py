@@ -30,6 +30,8 @@ from dmc_multimode.suite import multimode_biped
 CONFIG_FILE = 'config.json'
 ENCODER = 'encoder'  # The folder of a run's mode encoder.
 INITIAL = 'initial'  # The folder of the policy that a run has begun with.
+_MAX_BYTES = 64 << 20  # Of a configuration; a larger one is none of ours.
+_MAX_WORLDS = 1_000_000
 _FLAT_SEGMENTS = 2  # The ground and the step of at most one command.
 _OBSTACLE_SEGMENTS = 3  # The ground and what each of two commands may meet.
 
@@ -72,6 +74,10 @@ class RunConfig:
     for name in ('num_worlds', 'threads'):
       if getattr(self, name) < 1:
         raise ValueError(f'{name} must be positive, got {getattr(self, name)}.')
+    if self.num_worlds > _MAX_WORLDS:
+      raise ValueError(
+        f'num_worlds must be at most {_MAX_WORLDS:,}, got {self.num_worlds}.'
+      )
     if not 0 <= self.seed < 2**32:
       raise ValueError(f'seed must be in [0, 2^32), got {self.seed}.')
 
@@ -148,7 +154,9 @@ def parse(text: str) -> Ingredients:
     names = tuple(motion.name for motion in motions)
     codebook = codebook_lib.Codebook(names, description['latents'])
     return from_dict(description['run']), motions, codebook
-  except (KeyError, TypeError) as error:
+  except KeyError as error:
+    raise ValueError(f'it lacks {error}') from error
+  except (TypeError, OverflowError, RecursionError) as error:
     raise ValueError(str(error)) from error
 
 
@@ -164,6 +172,8 @@ def load_run(directory: pathlib.Path) -> Ingredients:
     raise FileNotFoundError(
       f'{directory} holds no run to resume; start one without --resume.'
     )
+  if path.stat().st_size > _MAX_BYTES:
+    raise ValueError(f'{path} is too large: dmc_multimode did not write it.')
   try:
     return parse(path.read_text(encoding='utf-8'))
   except ValueError as error:

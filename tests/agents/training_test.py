@@ -256,6 +256,16 @@ def test_saves_in_between() -> None:
   assert save.call_count == 2 + 1
 
 
+def test_saves_no_moment_twice() -> None:
+  loop, saved = _toy_loop(), []
+  loop.run(
+    training.TrainingConfig(steps=64, checkpoint_seconds=1e-9),
+    mock.Mock(),
+    lambda: saved.append(loop.steps),
+  )
+  assert saved == [16, 32, 48, 64]
+
+
 @pytest.mark.parametrize(
   ('every', 'kept'),
   [

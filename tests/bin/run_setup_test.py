@@ -72,6 +72,32 @@ def test_every_kind_of_learner_learns(symmetry: str, advantages: str) -> None:
   assert not torch.equal(weight, before)
 
 
+@pytest.mark.parametrize(
+  ('text', 'message'),
+  [
+    ('{}', "lacks 'modes'"),
+    ('[' * 100_000, 'recursion'),
+    ('{"modes": 3}', 'int'),
+    ('[1]', 'list'),
+  ],
+)
+def test_damaged_configuration(
+  text: str, message: str, tmp_path: pathlib.Path
+) -> None:
+  (tmp_path / run_setup.CONFIG_FILE).write_text(text)
+  with pytest.raises(ValueError, match=f'config.json is damaged: .*{message}'):
+    run_setup.load_run(tmp_path)
+
+
+def test_configuration_is_of_a_sane_size(tmp_path: pathlib.Path) -> None:
+  with open(tmp_path / run_setup.CONFIG_FILE, 'wb') as file:
+    file.truncate(65 << 20)
+  with pytest.raises(ValueError, match='too large'):
+    run_setup.load_run(tmp_path)
+  with pytest.raises(ValueError, match='num_worlds must be at most'):
+    run_setup.RunConfig(num_worlds=10**9)
+
+
 def test_configuration_round_trip() -> None:
   config = run_setup.RunConfig(
     ppo=ppo_config.PPOConfig(
