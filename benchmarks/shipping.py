@@ -6,6 +6,7 @@ import json
 import pathlib
 
 from dmc_multimode import atomic
+from dmc_multimode.bin import run_setup
 
 TRAINING_FILE = 'training.csv'
 _DIGITS = 4  # Significant ones of a curve.
@@ -58,8 +59,9 @@ def gather(
   if 'policy.json' not in files:
     raise FileNotFoundError(f'{policy} holds no policy.')
   made = json.loads(files['policy.json'])['provenance']['run']
-  config = json.loads((run / 'config.json').read_text(encoding='utf-8'))
-  if made != config['run']:
+  config = json.loads((run / run_setup.CONFIG_FILE).read_text(encoding='utf-8'))
+  # A run from before lacks what there is by now, and so does its policy or not.
+  if run_setup.from_dict(made) != run_setup.from_dict(config['run']):
     raise ValueError(f'{policy} is not a policy of the run in {run}.')
   text = (run / 'metrics.csv').read_text(encoding='utf-8')
   files[TRAINING_FILE] = thinned(text, every).encode()

@@ -6,6 +6,7 @@ import pathlib
 import pytest
 
 from benchmarks import shipping
+from dmc_multimode.bin import run_setup
 
 _CSV = 'steps,mra\n10,0.123456\n20,0.2\n30,0.3\n40,0.4\n45,0.45\n'
 
@@ -26,11 +27,13 @@ def test_what_is_no_curve_is_refused(text: str) -> None:
 def _make_run(folder: pathlib.Path, seed: int) -> pathlib.Path:
   for part in ('policy', 'encoder', 'policies/10'):
     (folder / part).mkdir(parents=True)
-  run = {'seed': 0}
+  run, other = (
+    run_setup.to_dict(run_setup.RunConfig(seed=seed)) for seed in (0, seed)
+  )
   (folder / 'config.json').write_text(json.dumps({'run': run}))
   (folder / 'metrics.csv').write_text(_CSV)
   (folder / 'encoder' / 'encoder.json').write_text('{}')
-  for part, made in (('policy', run), ('policies/10', {'seed': seed})):
+  for part, made in (('policy', run), ('policies/10', other)):
     text = json.dumps({'provenance': {'run': made}})
     (folder / part / 'policy.json').write_text(text)
     (folder / part / 'policy.safetensors').write_bytes(part.encode())
