@@ -104,7 +104,7 @@ def _of_gaits(motion: reference.ReferenceMotion) -> tuple[Promise, ...]:
     along = lambda trace: float(trace.velocity(trace.position)[:2] @ heading)
     slack = _SPEED * speed
     result.append(Promise('speed', speed - slack, speed + slack, along))
-  rate = reference.ReferenceBank([motion]).turns[0] / motion.duration
+  rate = float(reference.ReferenceBank([motion]).turns[0]) / motion.duration
   if rate:
     slack = _SPEED * abs(rate)
     result.append(
