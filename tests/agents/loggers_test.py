@@ -2,6 +2,7 @@
 
 import contextlib
 import csv
+import errno
 import io
 import pathlib
 import sys
@@ -10,6 +11,7 @@ from typing import Any, Mapping
 
 import pytest
 from tensorboard.backend.event_processing import event_accumulator
+from tensorboard.summary.writer import record_writer
 
 from dmc_multimode.agents import loggers
 
@@ -79,6 +81,20 @@ def test_tensorboard_of_a_resumed_run(tmp_path: pathlib.Path) -> None:
   _write(loggers.TensorBoardLogger(tmp_path), 10, 20, 30)
   _write(loggers.TensorBoardLogger(tmp_path, resume_from=21), 25)
   assert _scalars(tmp_path, 'a') == [(10, 1.0), (20, 2.0), (25, 2.5)]
+
+
+@pytest.mark.parametrize('kind', ['csv', 'tensorboard'])
+def test_a_full_disk_is_named(tmp_path: pathlib.Path, kind: str) -> None:
+  logger: Any
+  if kind == 'csv':
+    logger = loggers.CSVLogger(tmp_path / 'metrics.csv')
+    logger._file = open('/dev/full', 'w', encoding='utf-8')
+  else:
+    logger = loggers.TensorBoardLogger(tmp_path)
+    logger._file = record_writer.RecordWriter(open('/dev/full', 'wb'))
+  with pytest.raises(OSError, match='metrics.csv|tfevents') as error:
+    logger.write({'steps': 10, 'a': 1.0})
+  assert error.value.errno == errno.ENOSPC
 
 
 class _FakeWandb(types.ModuleType):
