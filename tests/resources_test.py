@@ -23,12 +23,24 @@ def test_the_robot_is_there() -> None:
   assert '<mujoco' in resources.path('xml', 'mini_biped.xml').read_text()
 
 
-def test_the_uniform_baseline_differs_in_sampling_alone() -> None:
-  adaptive, uniform = (
-    resources.path('flags', f'{name}.flags').read_text().splitlines()[1:]
-    for name in ('pi2', 'pi2_uniform')
+@pytest.mark.parametrize(
+  ('name', 'flag'),
+  [
+    ('pi1_uniform', '--sampling_adaptive=false'),
+    ('pi2_uniform', '--sampling_adaptive=false'),
+    ('pi2_one_hot', '--one_hot'),
+  ],
+)
+def test_a_baseline_differs_in_one_thing(name: str, flag: str) -> None:
+  ours, baseline = (
+    {
+      line
+      for line in resources.path('flags', f'{n}.flags').read_text().splitlines()
+      if line.startswith('--')
+    }
+    for n in (name[:3], name)
   )
-  assert uniform == [*adaptive, '--sampling_adaptive=false']
+  assert baseline == ours | {flag}
 
 
 @pytest.mark.parametrize(
