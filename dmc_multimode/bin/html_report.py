@@ -46,9 +46,10 @@ h2 { margin-top: 2.5rem; }
 img { max-width: 100%; }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { padding: .2rem .6rem; text-align: right; border-bottom: 1px solid #ddd;
-  overflow-wrap: anywhere; }
+th, td { padding: .2rem .6rem; text-align: right; border-bottom: 1px solid #ddd; }
+td, tbody th { white-space: nowrap; }
 th:first-child, .text td { text-align: left; }
+.text td { white-space: normal; overflow-wrap: anywhere; }
 .heat td { text-align: center; border: 1px solid #fff; }
 .heat thead th { text-align: center; vertical-align: bottom; }
 .broken { color: #b3261e; font-weight: 600; }
