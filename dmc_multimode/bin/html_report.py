@@ -46,7 +46,8 @@ h2 { margin-top: 2.5rem; }
 img { max-width: 100%; }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { padding: .2rem .6rem; text-align: right; border-bottom: 1px solid #ddd; }
+th, td { padding: .2rem .6rem; text-align: right;
+  border-bottom: 1px solid #ddd; }
 td, tbody th { white-space: nowrap; }
 th:first-child, .text td { text-align: left; }
 .text td { white-space: normal; overflow-wrap: anywhere; }
