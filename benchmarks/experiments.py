@@ -34,36 +34,48 @@ class Part(NamedTuple):
 
 def parts(episodes: int) -> list[Part]:
   """Returns everything that there is to run."""
-  result = []
-  for name in pretrained.names():
-    command: tuple[str, ...] = (
-      '-m',
-      'dmc_multimode.bin.evaluate',
-      f'--policy={name}',
-      f'--episodes={episodes}',
-      '--clock_rates=1,2,3',
-      f'--out={{out}}/{name}.json',
-      f'--figures={{out}}/{name}',
-    )
-    result.append(Part(name, command, (name,)))
-  for name in ('pi1', 'pi2'):
-    needs = name, f'{name}_uniform'
-    labels = zip(('adaptive', 'uniform'), needs, strict=True)
-    command = (
-      '-m',
-      'dmc_multimode.bin.curves',
-      f'--out={{out}}/curves_{name}',
-      *(f'--run={label}={_training(policy)}' for label, policy in labels),
-    )
-    result.append(Part(f'curves_{name}', command, needs))
-  benchmark = lambda name, *more: (
-    *('-m', f'benchmarks.{name}', f'--out={{out}}/{name}.json'),
-    *more,
+  return [
+    *(_evaluation(name, episodes) for name in pretrained.names()),
+    *(_curves(name) for name in ('pi1', 'pi2')),
+    *_comparisons(),
+    *_showings(),
+    _benchmark('planning', ('pi2',), '--random=0'),
+    _benchmark('robustness', ('pi2',), '--episodes=1'),
+  ]
+
+
+def _evaluation(name: str, episodes: int) -> Part:
+  """The scores and figures of one policy."""
+  command = (
+    *('-m', 'dmc_multimode.bin.evaluate', f'--policy={name}'),
+    *(f'--episodes={episodes}', '--clock_rates=1,2,3'),
+    *(f'--out={{out}}/{name}.json', f'--figures={{out}}/{name}'),
   )
+  return Part(name, command, (name,))
+
+
+def _curves(name: str) -> Part:
+  """How a policy and its uniform baseline were learned."""
+  needs = name, f'{name}_uniform'
+  runs = (
+    f'--run={label}={shipping.folder(policy) / shipping.TRAINING_FILE}'
+    for label, policy in zip(('adaptive', 'uniform'), needs, strict=True)
+  )
+  command = '-m', 'dmc_multimode.bin.curves', f'--out={{out}}/curves_{name}'
+  return Part(f'curves_{name}', (*command, *runs), needs)
+
+
+def _benchmark(name: str, needs: tuple[str, ...], *more: str) -> Part:
+  """A benchmark that writes a report of its own name."""
+  command = '-m', f'benchmarks.{name}', f'--out={{out}}/{name}.json', *more
+  return Part(name, command, needs)
+
+
+def _comparisons() -> list[Part]:
+  """Ours beside the paper's baselines."""
   drawing = '--figures={out}'
   return [
-    *result,
-    Part('aliasing', benchmark('aliasing', drawing), ('pi2', 'pi2_one_hot')),
+    _benchmark('aliasing', ('pi2', 'pi2_one_hot'), drawing),
     # A mode that has collapsed keeps the height of a robot that stands.
     Part(
       'collapse',
@@ -74,11 +86,15 @@ def parts(episodes: int) -> list[Part]:
       ),
       ('pi1', 'pi1_uniform'),
     ),
-    Part(
-      'switching',
-      benchmark('switching', drawing),
-      ('pi2', 'unimodal_walk', 'unimodal_launch'),
+    _benchmark(
+      'switching', ('pi2', 'unimodal_walk', 'unimodal_launch'), drawing
     ),
+  ]
+
+
+def _showings() -> list[Part]:
+  """What the paper shows of the encoding and of the modes."""
+  return [
     Part(
       'encoding',
       (
@@ -96,16 +112,7 @@ def parts(episodes: int) -> list[Part]:
       ),
       ('pi2',),
     ),
-    Part('planning', benchmark('planning', '--random=0'), ('pi2',)),
-    Part('robustness', benchmark('robustness', '--episodes=1'), ('pi2',)),
   ]
-
-
-def _training(policy: str) -> pathlib.Path:
-  """Returns where the curves of a shipped policy's training are."""
-  return (
-    pathlib.Path(pretrained.__file__).parent / policy / shipping.TRAINING_FILE
-  )
 
 
 def run(part: Part, out: pathlib.Path) -> float:

@@ -125,8 +125,9 @@ class Trainings:
 
 def _warm_up() -> None:
   """Imports what is imported late, and compiles a model."""
+  from tensorboard.compat.proto import event_pb2  # noqa: F401
+  from tensorboard.summary.writer import record_writer  # noqa: F401
   import torch
-  from torch.utils import tensorboard  # noqa: F401
 
   from dmc_multimode.modes import library
   from dmc_multimode.suite import batched

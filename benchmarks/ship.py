@@ -55,7 +55,7 @@ def main(argv: Sequence[str]) -> None:
     )
     files[report.name] = report.read_bytes()
   # Only now: what was shipped before stays until all is there.
-  folder = pathlib.Path(pretrained.__file__).parent / _NAME.value
+  folder = shipping.folder(_NAME.value)
   shipping.write(files, folder)
   print(f'Shipped in {folder}')
 

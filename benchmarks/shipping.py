@@ -6,10 +6,16 @@ import json
 import pathlib
 
 from dmc_multimode import atomic
+from dmc_multimode import pretrained
 from dmc_multimode.bin import run_setup
 
 TRAINING_FILE = 'training.csv'
 _DIGITS = 4  # Significant ones of a curve.
+
+
+def folder(name: str) -> pathlib.Path:
+  """Returns where a policy of that name is shipped, or will be."""
+  return pathlib.Path(pretrained.__file__).parent / name
 
 
 def thinned(text: str, every: int) -> str:
@@ -51,9 +57,9 @@ def gather(
   """
   files = {
     path.name: path.read_bytes()
-    for folder in (policy, run / 'encoder')
-    if folder.is_dir()
-    for path in sorted(folder.iterdir())
+    for part in (policy, run / 'encoder')
+    if part.is_dir()
+    for path in sorted(part.iterdir())
     if path.suffix in ('.json', '.safetensors')
   }
   if 'policy.json' not in files:
@@ -68,11 +74,11 @@ def gather(
   return files
 
 
-def write(files: dict[str, bytes], folder: pathlib.Path) -> None:
+def write(files: dict[str, bytes], place: pathlib.Path) -> None:
   """Writes the files, each whole or not at all, and nothing else stays."""
-  folder.mkdir(parents=True, exist_ok=True)
-  for path in folder.iterdir():
+  place.mkdir(parents=True, exist_ok=True)
+  for path in place.iterdir():
     if path.name not in files:
       path.unlink()
   for name, content in files.items():
-    atomic.write(folder / name, content)
+    atomic.write(place / name, content)
