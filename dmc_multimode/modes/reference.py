@@ -184,6 +184,9 @@ class ReferenceBank:
     self._spans = self._contact_spans()
     self._landings = self._next_touch_downs()
     self._airborne = self.has_contacts[:, None] & ~self._contacts.any(axis=-1)
+    # The flight that each keyframe is in, or that follows it, by its keyframe.
+    flights = np.where(self._airborne, np.arange(width), width - 1)
+    self._flights = np.minimum.accumulate(flights[:, ::-1], axis=1)[:, ::-1]
     modes = np.arange(num)
     self.touchdowns = np.where(
       self.takeoffs > 0, self.grounded(modes, self.takeoffs), 0.0
@@ -208,16 +211,23 @@ class ReferenceBank:
     landings = np.minimum.accumulate(landings[:, ::-1], axis=1)[:, ::-1]
     return np.minimum(landings, 1.0)
 
-  def grounded(self, modes: np.ndarray, phases: np.ndarray) -> np.ndarray:
+  def grounded(
+    self, modes: np.ndarray, phases: np.ndarray, push_off: float = 0.0
+  ) -> np.ndarray:
     """Returns phases, or those of the touch-down that ends a flight, [B].
 
     Args:
       modes: mode indices, [B].
       phases: phases in [0, 1], [B].
+      push_off: how long before its take-off a flight begins to count, seconds.
     """
     left, _ = self._locate(modes, phases)
-    flies = self._airborne[modes, left]
-    return np.where(flies, self._landings[modes, left], phases)
+    flight = self._flights[modes, left]
+    begins = np.where(
+      self._airborne[modes, flight], self._phases[modes, flight], np.inf
+    )
+    flies = begins - phases <= push_off / self.durations[modes]
+    return np.where(flies, self._landings[modes, flight], phases)
 
   def __len__(self) -> int:
     return len(self.motions)

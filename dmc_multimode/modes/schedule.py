@@ -14,6 +14,8 @@ from dmc_multimode.modes import reference
 
 CLIPS = (0, 1)  # Algorithm 1: clip_s ~ U{0, 1}.
 SWITCH_PHASES = (0.25, 0.5, 0.75)  # Algorithm 1: phi_s ~ U{.25, .5, .75}.
+# How long before its take-off a robot is past stopping, seconds.
+PUSH_OFF = 0.15
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -75,7 +77,8 @@ def transitions(
 
   t_s is `clips + phases` clips of the initial mode, but a robot in flight
   cannot obey: it goes on to where it lands, which the next reference has left
-  by then, or where the block of a launch stands. So a command waits for the
+  by then, or where the block of a launch stands. Nor can one that pushes off,
+  in the last `PUSH_OFF` before its take-off. So a command waits for the
   touch-down, and for the end of a mode with a take-off: there is no turning
   back in mid-crouch, nor at the moment of a landing.
 
@@ -89,7 +92,7 @@ def transitions(
   cycles, earliest = clips + phases, bank.touchdowns[initial]
   if commands_from_ground:
     then = np.where(bank.transient[initial], np.minimum(cycles, 1.0), phases)
-    cycles = cycles + bank.grounded(initial, then) - then
+    cycles = cycles + bank.grounded(initial, then, PUSH_OFF) - then
     earliest = np.where(earliest > 0, 1.0, 0.0)
   cycles = np.maximum(cycles, earliest)
   switch = cycles * bank.durations[initial]

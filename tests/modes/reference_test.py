@@ -208,6 +208,16 @@ class ReferenceBankTest(parameterized.TestCase):
     bank = reference.ReferenceBank([motion])
     np.testing.assert_array_equal(bank.touchdowns, [expected])
 
+  @parameterized.parameters((0.0, 0.1), (0.29, 0.1), (0.31, 1.0))
+  def test_flights_count_from_the_push_off_on(
+    self, push_off: float, expected: float
+  ) -> None:
+    # Of 2 s: takes off at 0.5 s, which is 0.3 s later, lands at the end.
+    motion = _motion(contacts=[[1, 1], [0, 0], [1, 1]])
+    bank = reference.ReferenceBank([motion])
+    phases = bank.grounded(np.array([0]), np.array([0.1]), push_off)
+    np.testing.assert_array_equal(phases, [expected])
+
   def test_flight_past_the_last_keyframe_ends_with_the_cycle(self) -> None:
     motion = _motion(contacts=[[1, 0], [0, 0], [0, 0]])
     bank = reference.ReferenceBank([motion])

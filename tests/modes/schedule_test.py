@@ -94,6 +94,20 @@ class BuildersTest(parameterized.TestCase):
       [0.6, 1.8, 0.9, 0.82 * 1.1, 1.5 * 1.1],
     )
 
+  def test_commands_wait_for_who_pushes_off(self) -> None:
+    bank = reference.ReferenceBank(library.resolve('pi3'))
+    hop, leap = bank.index('hop_forward'), bank.index('leap_forward')
+    plan = schedule.transitions(
+      bank,
+      initial=np.array([hop, hop, hop, leap]),
+      final=np.zeros(4, dtype=np.int64),
+      clips=np.array([0, 0, 1, 0]),
+      phases=np.array([0.25, 0.5, 0.5, 0.25]),
+    )
+    # A hop takes 0.6 s and off at 0.4 s: 0.25 s after phase 0.25, 0.1 s after
+    # phase 0.5. It lands at its end. A leap takes off 0.2 s after phase 0.25.
+    np.testing.assert_allclose(plan.starts[:, 1], [0.15, 0.6, 1.2, 0.3])
+
   def test_from_knots(self) -> None:
     plan = schedule.from_knots(np.array([[1, 0, 2]]), 0.3, clock_rate=0.8)
     np.testing.assert_array_equal(plan.modes, [[1, 0, 2]])
