@@ -96,10 +96,24 @@ def _evaluate(no_videos: str, communicator: distributed.Communicator) -> None:
     values['clock_rates'] = scoring.evaluate_clock_rates(
       evaluator, scoring.MODE_FACTOR * _EPISODES.value, rates
     )
-  values['provenance'] = dict(policy.provenance)
+  values['provenance'] = {
+    **policy.provenance,
+    'encoder_seed': _encoder_seed(_POLICY.value),
+  }
   if communicator.rank == 0:
     evaluator = scoring.Evaluator(policy, config, _SEED.value)
     _report(values, out, page, folder, evaluator, no_videos)
+
+
+def _encoder_seed(name: str) -> int | None:
+  """Returns the seed that a policy's latents come from, None for one-hot."""
+  from dmc_multimode.bin import fine_tuning
+  from dmc_multimode.modes import encoder
+
+  try:
+    return encoder.load(fine_tuning.find_encoder(name)).config.seed
+  except ValueError:
+    return None
 
 
 def _report(

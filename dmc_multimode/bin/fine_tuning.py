@@ -185,12 +185,16 @@ def load(name: str, encoder: str | None = None) -> Start:
       f'{name} knows its modes by one-hot commands, which leave no room for '
       'another: begin with a policy that has latents.'
     )
-  folder = pathlib.Path(encoder) if encoder else _find_encoder(name)
+  folder = pathlib.Path(encoder) if encoder else find_encoder(name)
   return Start(name, policy, encoder_lib.load(folder))
 
 
-def _find_encoder(name: str) -> pathlib.Path:
-  """Returns the folder of the encoder that belongs to a policy."""
+def find_encoder(name: str) -> pathlib.Path:
+  """Returns the folder of the encoder that belongs to a policy.
+
+  Raises:
+    ValueError: there is none beside it, nor in its run.
+  """
   path = pathlib.Path(name)
   folders = [
     path,  # A policy that ships with its encoder.

@@ -8,6 +8,7 @@ from typing import Any, Mapping
 import torch
 
 from dmc_multimode import atomic
+from dmc_multimode import typed
 from dmc_multimode.agents import distributed
 from dmc_multimode.agents import training
 from dmc_multimode.agents.ppo import anchoring
@@ -100,16 +101,24 @@ def from_dict(values: Mapping[str, Any]) -> RunConfig:
   try:
     ppo = dict(values['ppo'])
     ppo['hidden_sizes'] = tuple(ppo['hidden_sizes'])
-    return RunConfig(
-      **{
+    return typed.build(
+      RunConfig,
+      {
         **values,
-        'ppo': ppo_config.PPOConfig(**ppo),
-        'sampling': sampling_lib.SamplingConfig(**values['sampling']),
+        'ppo': typed.build(ppo_config.PPOConfig, ppo),
+        'sampling': typed.build(
+          sampling_lib.SamplingConfig, values['sampling']
+        ),
         'task': task_config.from_dict(values['task']),
-      }
+      },
     )
-  except (TypeError, KeyError) as error:
-    raise ValueError(f'Not the configuration of a run: {error}.') from error
+  except KeyError as error:
+    raise ValueError(
+      f'Not the configuration of a run: it lacks {error}.'
+    ) from error
+  except (TypeError, ValueError) as error:
+    reason = str(error).rstrip('.')
+    raise ValueError(f'Not the configuration of a run: {reason}.') from error
 
 
 def check_ranks(config: RunConfig, ranks: int) -> None:

@@ -23,7 +23,7 @@ import hashlib
 import json
 import os
 import pathlib
-from typing import Any, Callable, Mapping, Sequence
+from typing import Callable, Sequence
 
 import numpy as np
 import safetensors
@@ -32,6 +32,7 @@ import torch
 from torch import nn
 
 from dmc_multimode import atomic
+from dmc_multimode import typed
 from dmc_multimode.modes import autoencoder
 from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import files
@@ -211,7 +212,7 @@ def load(directory: str | os.PathLike[str]) -> ModeEncoder:
     description = json.loads(_read(path))
     if description['format'] != _FORMAT:
       raise ValueError(f'format {description["format"]!r}')
-    config = _config_from_dict(description['config'])
+    config = typed.build(EncoderConfig, description['config'])
     modes = tuple(files.motion_from_dict(m) for m in description['modes'])
     reference.ReferenceBank(modes)
     expected = description['weights_sha256']
@@ -250,17 +251,6 @@ def _read(path: pathlib.Path) -> bytes:
 def _reason(error: Exception) -> str:
   missing = f'{error} is missing' if isinstance(error, KeyError) else str(error)
   return missing.rstrip('.')
-
-
-def _config_from_dict(data: Any) -> EncoderConfig:
-  """Returns a config; ValueError or TypeError for a foreign one."""
-  if not isinstance(data, Mapping):
-    raise ValueError('config is not a table')
-  for field in dataclasses.fields(EncoderConfig):
-    allowed = (int, float) if field.type is float else (field.type,)
-    if type(data.get(field.name, field.default)) not in allowed:
-      raise ValueError(f'{field.name} in config has a wrong type')
-  return EncoderConfig(**data)
 
 
 def _build(config: EncoderConfig) -> autoencoder.Autoencoder:

@@ -4,6 +4,7 @@ import dataclasses
 import math
 from typing import Any, Mapping
 
+from dmc_multimode import typed
 from dmc_multimode.suite import rewards
 from dmc_multimode.suite import terminations
 
@@ -205,16 +206,22 @@ def from_dict(values: Mapping[str, Any]) -> ImitationConfig:
     ValueError: a field is unknown or of the wrong type.
   """
   try:
-    return ImitationConfig(
-      **{
+    gains = typed.build(rewards.RewardGains, values['gains'])
+    limits = typed.build(
+      terminations.TerminationLimits, {'angle': math.pi, **values['limits']}
+    )
+    return typed.build(
+      ImitationConfig,
+      {
         'servo_inertia': False,
         'commands_from_ground': False,
         **values,
-        'gains': rewards.RewardGains(**values['gains']),
-        'limits': terminations.TerminationLimits(
-          **{'angle': math.pi, **values['limits']}
-        ),
-      }
+        'gains': gains,
+        'limits': limits,
+      },
     )
-  except (TypeError, KeyError) as error:
-    raise ValueError(f'Not a task configuration: {error}.') from error
+  except KeyError as error:
+    raise ValueError(f'Not a task configuration: it lacks {error}.') from error
+  except (TypeError, ValueError) as error:
+    reason = str(error).rstrip('.')
+    raise ValueError(f'Not a task configuration: {reason}.') from error

@@ -68,6 +68,8 @@ def test_report(
     assert summary['std'] == pytest.approx(np.std(values))
     assert 0 < min(values) <= max(values) < 1
   assert report['provenance']['steps'] == 12
+  # One-hot commands have no encoder; that of the shipped policies is 0.
+  assert report['provenance']['encoder_seed'] is None
   assert report['task']['reference_starts'] == report['task']['edge_noise'] == 0
   for name in (*_MODES, *pairs):
     assert name in done.stdout

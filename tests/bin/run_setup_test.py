@@ -89,6 +89,25 @@ def test_damaged_configuration(
     run_setup.load_run(tmp_path)
 
 
+@pytest.mark.parametrize(
+  ('part', 'name', 'value', 'message'),
+  [
+    ('ppo', 'clip', '0.2', 'clip must be a finite number'),
+    ('ppo', 'epochs', 2.5, 'epochs must be a whole number'),
+    ('sampling', 'adaptive', 0, 'adaptive must be true or false'),
+    ('task', 'time_limit', None, 'time_limit must be a finite number'),
+    ('task', 'more', 1, 'more is unknown'),
+  ],
+)
+def test_values_of_another_type(
+  part: str, name: str, value: Any, message: str
+) -> None:
+  values = run_setup.to_dict(run_setup.RunConfig())
+  values[part][name] = value
+  with pytest.raises(ValueError, match=message):
+    run_setup.from_dict(values)
+
+
 def test_configuration_is_of_a_sane_size(tmp_path: pathlib.Path) -> None:
   with open(tmp_path / run_setup.CONFIG_FILE, 'wb') as file:
     file.truncate(65 << 20)

@@ -306,7 +306,7 @@ class FilesTest(parameterized.TestCase):
     (lambda data: data.update(modes=[]), 'at least one mode'),
     (lambda data: data['modes'].append(data['modes'][0]), 'unique'),
     (lambda data: data['modes'][1].pop('kind'), "'kind' is missing"),
-    (lambda data: data.update(config=None), 'config'),
+    (lambda data: data.update(config=None), 'EncoderConfig'),
     (lambda data: data['config'].update(hidden=True), 'hidden'),
     (lambda data: data['config'].update(hidden=10**9), 'hidden'),
     (lambda data: data['config'].update(more=1), 'more'),

@@ -147,6 +147,10 @@ class ImitationConfigTest(parameterized.TestCase):
     {'limits': 3},
     {'time_limit': 'long'},
     {'time_limit': -1.0},
+    {'obstacles': True},
+    {'push_start': 1.5},
+    {'servo_inertia': 1},
+    {'contact_force': float('nan')},
   )
   def test_from_dict_rejects(self, **changes: Any) -> None:
     values = {**config.to_dict(config.ImitationConfig()), **changes}
