@@ -18,17 +18,20 @@ def folder(name: str) -> pathlib.Path:
   return pathlib.Path(pretrained.__file__).parent / name
 
 
-def thinned(text: str, every: int) -> str:
+def thinned(text: str, every: int, until: int) -> str:
   """Returns the metrics of a run with fewer rows and digits.
 
   Args:
     text: of a `metrics.csv`, with a column `steps`.
     every: control steps between two rows; the last row always stays.
+    until: control steps of the policy; rows from after it are left out.
 
   Raises:
     ValueError: the text holds no such metrics.
   """
   rows = list(csv.reader(io.StringIO(text)))
+  if rows[:1] and rows[0][:1] == ['steps']:
+    rows[1:] = [row for row in rows[1:] if float(row[0]) <= until]
   if len(rows) < 2 or rows[0][:1] != ['steps']:
     raise ValueError('These are not the metrics of a run.')
   kept, due = [rows[0]], 0.0
@@ -64,13 +67,15 @@ def gather(
   }
   if 'policy.json' not in files:
     raise FileNotFoundError(f'{policy} holds no policy.')
-  made = json.loads(files['policy.json'])['provenance']['run']
+  provenance = json.loads(files['policy.json'])['provenance']
   config = json.loads((run / run_setup.CONFIG_FILE).read_text(encoding='utf-8'))
   # A run from before lacks what there is by now, and so does its policy or not.
-  if run_setup.from_dict(made) != run_setup.from_dict(config['run']):
+  if run_setup.from_dict(provenance['run']) != run_setup.from_dict(
+    config['run']
+  ):
     raise ValueError(f'{policy} is not a policy of the run in {run}.')
   text = (run / 'metrics.csv').read_text(encoding='utf-8')
-  files[TRAINING_FILE] = thinned(text, every).encode()
+  files[TRAINING_FILE] = thinned(text, every, provenance['steps']).encode()
   return files
 
 

@@ -12,16 +12,18 @@ _CSV = 'steps,mra\n10,0.123456\n20,0.2\n30,0.3\n40,0.4\n45,0.45\n'
 
 
 def test_curves_are_thinned() -> None:
-  assert shipping.thinned(_CSV, 20) == (
+  assert shipping.thinned(_CSV, 20, 45) == (
     'steps,mra\n10,0.1235\n30,0.3\n45,0.45\n'
   )
-  assert shipping.thinned(_CSV, 1) == _CSV.replace('123456', '1235')
+  assert shipping.thinned(_CSV, 1, 99) == _CSV.replace('123456', '1235')
+  # What came after the policy does not belong to it.
+  assert shipping.thinned(_CSV, 20, 44).splitlines()[-1][:3] == '40,'
 
 
 @pytest.mark.parametrize('text', ['', 'steps,mra\n', 'mra\n1\n'])
 def test_what_is_no_curve_is_refused(text: str) -> None:
   with pytest.raises(ValueError, match='not the metrics of a run'):
-    shipping.thinned(text, 20)
+    shipping.thinned(text, 20, 99)
 
 
 def _make_run(folder: pathlib.Path, seed: int) -> pathlib.Path:
@@ -34,7 +36,7 @@ def _make_run(folder: pathlib.Path, seed: int) -> pathlib.Path:
   (folder / 'metrics.csv').write_text(_CSV)
   (folder / 'encoder' / 'encoder.json').write_text('{}')
   for part, made in (('policy', run), ('policies/10', other)):
-    text = json.dumps({'provenance': {'run': made}})
+    text = json.dumps({'provenance': {'run': made, 'steps': 10}})
     (folder / part / 'policy.json').write_text(text)
     (folder / part / 'policy.safetensors').write_bytes(part.encode())
   return folder
@@ -53,6 +55,8 @@ def test_all_files_are_gathered_and_old_ones_go(tmp_path: pathlib.Path) -> None:
     'training.csv',
   ]
   assert (shipped / 'policy.safetensors').read_bytes() == b'policies/10'
+  curve = (shipped / 'training.csv').read_text()
+  assert curve == 'steps,mra\n10,0.1235\n'
 
 
 def test_a_policy_of_another_run_is_refused(tmp_path: pathlib.Path) -> None:
