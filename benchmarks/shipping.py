@@ -68,11 +68,10 @@ def gather(
   if 'policy.json' not in files:
     raise FileNotFoundError(f'{policy} holds no policy.')
   provenance = json.loads(files['policy.json'])['provenance']
-  config = json.loads((run / run_setup.CONFIG_FILE).read_text(encoding='utf-8'))
+  described = (run / run_setup.CONFIG_FILE).read_text(encoding='utf-8')
+  config = run_setup.from_dict(json.loads(described)['run'])
   # A run from before lacks what there is by now, and so does its policy or not.
-  if run_setup.from_dict(provenance['run']) != run_setup.from_dict(
-    config['run']
-  ):
+  if run_setup.from_dict(provenance['run']) != config:
     raise ValueError(f'{policy} is not a policy of the run in {run}.')
   text = (run / 'metrics.csv').read_text(encoding='utf-8')
   files[TRAINING_FILE] = thinned(text, every, provenance['steps']).encode()
