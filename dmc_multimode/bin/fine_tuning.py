@@ -82,6 +82,7 @@ class Start:
       before.sampling,
       gait_steps=0,
       focus=','.join(motion.name for motion in self.new(motions)),
+      focus_start=0,
       focus_steps=steps,
       focus_share=_FOCUS_SHARE,
     )

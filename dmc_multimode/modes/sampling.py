@@ -20,8 +20,9 @@ class SamplingConfig:
       who learns to bound on both feet first walks so as well.
     gait_share: how often, until then, a drawn mode is replaced by a gait.
     focus: names of modes, comma-separated, that are drawn more often likewise.
-    focus_steps: control steps of all worlds together for which they are.
-    focus_share: how often, until then, a drawn mode is replaced by one of them.
+    focus_start: control steps of all worlds together from which on they are.
+    focus_steps: those until which they are.
+    focus_share: how often, in between, a drawn mode is replaced by one of them.
   """
 
   adaptive: bool = True
@@ -31,6 +32,7 @@ class SamplingConfig:
   gait_steps: int = 0
   gait_share: float = 0.7
   focus: str = ''
+  focus_start: int = 0
   focus_steps: int = 0
   focus_share: float = 0.5
 
@@ -42,7 +44,7 @@ class SamplingConfig:
         )
     if not self.epsilon >= 0:
       raise ValueError(f'epsilon must not be negative, got {self.epsilon}.')
-    for name in ('gait_steps', 'focus_steps'):
+    for name in ('gait_steps', 'focus_start', 'focus_steps'):
       if getattr(self, name) < 0:
         raise ValueError(
           f'{name} must not be negative, got {getattr(self, name)}.'

@@ -84,8 +84,8 @@ class TransitionEpisodes:
   ) -> Episodes:
     """See `EpisodeInitialiser`."""
     initial, final = self.sampler.sample(len(ids), random_state)
-    for modes, steps, share in self._preferences():
-      if len(modes) and self._steps < steps:
+    for modes, start, end, share in self._preferences():
+      if len(modes) and start <= self._steps < end:
         shape = (2, len(ids))
         swap = random_state.uniform(size=shape) < share
         preferred = random_state.choice(modes, size=shape)
@@ -97,12 +97,17 @@ class TransitionEpisodes:
     )
     return Episodes(schedule, initial, final)
 
-  def _preferences(self) -> tuple[tuple[np.ndarray, int, float], ...]:
-    """Modes that are practised more, until how many steps, and how often."""
+  def _preferences(self) -> tuple[tuple[np.ndarray, int, int, float], ...]:
+    """Modes that are practised more, from and until which step, how often."""
     config = self._config
     return (
-      (self._gaits, config.gait_steps, config.gait_share),
-      (self._focused, config.focus_steps, config.focus_share),
+      (self._gaits, 0, config.gait_steps, config.gait_share),
+      (
+        self._focused,
+        config.focus_start,
+        config.focus_steps,
+        config.focus_share,
+      ),
     )
 
   def update(

@@ -140,6 +140,7 @@ class ModeSamplerTest(parameterized.TestCase):
     ({'epsilon': -0.1}, 'epsilon'),
     ({'epsilon': float('nan')}, 'epsilon'),
     ({'gait_steps': -1}, 'gait_steps'),
+    ({'focus_start': -1}, 'focus_start'),
     ({'focus_steps': -1}, 'focus_steps'),
     ({'focus_share': -0.1}, 'focus_share'),
     ({'gait_share': 1.1}, 'gait_share'),

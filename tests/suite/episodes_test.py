@@ -79,13 +79,16 @@ class TransitionEpisodesTest(parameterized.TestCase):
     self.assertLen(np.unique(drawn.initial), 3)
 
   def test_modes_in_focus(self) -> None:
-    """Two modes in place of 4 of 10, for as long as was asked for."""
+    """Two modes in place of 4 of 10, when it was asked for."""
     bank = _bank()
     config = sampling.SamplingConfig(
-      focus='launch, idle', focus_steps=1000, focus_share=0.4
+      focus='launch, idle',
+      focus_start=1000,
+      focus_steps=2000,
+      focus_share=0.4,
     )
     initialiser = episodes.TransitionEpisodes(bank, config)
-    for expected in (0.2 + 0.6 / 4, 1 / 4):
+    for expected in (1 / 4, 0.2 + 0.6 / 4, 1 / 4):
       drawn = initialiser.sample(np.arange(4000), np.random.RandomState(0))
       for modes in (drawn.initial, drawn.final):
         for name in ('launch', 'idle'):
