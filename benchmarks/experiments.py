@@ -12,7 +12,6 @@ from dmc_multimode import pretrained
 # Table II: MRA over modes and over transitions, mean and standard deviation.
 PAPER: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {
   'pi1_uniform': ((0.81, 0.06), (0.71, 0.09)),
-  'pi1_21m': ((0.87, 0.04), (0.77, 0.05)),
   'pi1': ((0.87, 0.04), (0.77, 0.05)),
   'pi2_uniform': ((0.87, 0.10), (0.64, 0.18)),
   'pi2': ((0.91, 0.05), (0.79, 0.24)),
