@@ -49,6 +49,11 @@ class SamplingConfig:
         raise ValueError(
           f'{name} must not be negative, got {getattr(self, name)}.'
         )
+    if self.focus_start > self.focus_steps:
+      raise ValueError(
+        f'focus_start {self.focus_start} must not come after focus_steps '
+        f'{self.focus_steps}, which ends what it begins.'
+      )
     for name in ('gait_share', 'focus_share'):
       if not 0 <= getattr(self, name) <= 1:
         raise ValueError(

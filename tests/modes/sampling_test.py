@@ -141,6 +141,7 @@ class ModeSamplerTest(parameterized.TestCase):
     ({'epsilon': float('nan')}, 'epsilon'),
     ({'gait_steps': -1}, 'gait_steps'),
     ({'focus_start': -1}, 'focus_start'),
+    ({'focus_start': 9, 'focus_steps': 8}, 'focus_start 9 must not come'),
     ({'focus_steps': -1}, 'focus_steps'),
     ({'focus_share': -0.1}, 'focus_share'),
     ({'gait_share': 1.1}, 'gait_share'),
