@@ -22,6 +22,7 @@ _ALLOWED = {
   '': set[str](),
   'resources': set[str](),
   'atomic': set[str](),
+  'typed': set[str](),
   'pretrained': {
     'pretrained',
     'atomic',
@@ -30,9 +31,9 @@ _ALLOWED = {
     'agents',
     'resources',
   },
-  'modes': {'atomic', 'modes'},
+  'modes': {'atomic', 'modes', 'typed'},
   'arenas': {'arenas', 'modes'},
-  'suite': {'suite', 'modes', 'arenas', 'resources'},
+  'suite': {'suite', 'modes', 'arenas', 'resources', 'typed'},
   'agents': {'atomic', 'agents'},
   'planner': {'planner', 'suite', 'modes', 'arenas', 'agents'},
 }

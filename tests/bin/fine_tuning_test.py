@@ -81,7 +81,10 @@ def test_settled_task_is_what_a_training_ends_with(
   )
 
 
-@pytest.mark.parametrize('name', pretrained.names())
+# A policy of one-hot commands has no room for more: see below.
+@pytest.mark.parametrize(
+  'name', [name for name in pretrained.names() if name != 'pi2_one_hot']
+)
 def test_defaults_fit_every_shipped_policy(
   name: str, squat: fine_tuning.Motions
 ) -> None:
