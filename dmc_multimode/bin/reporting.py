@@ -53,7 +53,7 @@ def draw(
       bank.names, alone.traces, alone.lengths, timestep
     ),
   }
-  if 'clock_rates' in values:
+  if values.get('clock_rates'):
     drawn[figures.CLOCK_RATES_FILE] = figures.clock_rates(values['clock_rates'])
   return drawn
 

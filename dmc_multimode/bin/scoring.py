@@ -149,13 +149,15 @@ def evaluate_clock_rates(
 
   Returns:
     By rate and mode: velocity along the mode's way and that of its reference,
-    m/s, and survival.
+    m/s, and survival. Empty where no mode travels.
   """
   bank = evaluator.bank
   limits = terminations.falls_alone(evaluator.config.limits)
   free = evaluator.changed(limits=limits)
   lengths = np.linalg.norm(bank.displacements[:, :2], axis=1)
   travelling = np.flatnonzero(lengths)
+  if not len(travelling):
+    return {}
   modes = np.repeat(travelling, episodes)
   result: dict[str, dict[str, dict[str, float]]] = {}
   for rate in rates:

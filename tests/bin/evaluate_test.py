@@ -143,6 +143,21 @@ def test_clock_rates(
   assert (folder / 'clock_rates.png').is_file()
 
 
+def test_clock_rates_where_nothing_travels(
+  evaluate: processes.Binary, tmp_path: pathlib.Path
+) -> None:
+  task = config.ImitationConfig(time_limit=0.3)
+  untrained.save(tmp_path / 'policy', ('idle',), task, {})
+  out, folder = tmp_path / 'report.json', tmp_path / 'figures'
+  done = evaluate(
+    *(f'--policy={tmp_path}/policy', '--episodes=1', '--clock_rates=2'),
+    *(f'--out={out}', f'--figures={folder}'),
+  )
+  assert done.code == 0, done.stderr
+  assert json.loads(out.read_text())['clock_rates'] == {}
+  assert not (folder / 'clock_rates.png').exists()
+
+
 def test_what_changes_the_figures(
   evaluate: processes.Binary, policy: pathlib.Path, tmp_path: pathlib.Path
 ) -> None:
