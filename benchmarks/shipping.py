@@ -29,13 +29,13 @@ def thinned(text: str, every: int, until: int) -> str:
   Raises:
     ValueError: the text holds no such metrics.
   """
-  rows = list(csv.reader(io.StringIO(text)))
-  if rows[:1] and rows[0][:1] == ['steps']:
-    rows[1:] = [row for row in rows[1:] if float(row[0]) <= until]
-  if len(rows) < 2 or rows[0][:1] != ['steps']:
+  header, *rows = list(csv.reader(io.StringIO(text))) or [[]]
+  known = header[:1] == ['steps']
+  rows = [row for row in rows if known and float(row[0]) <= until]
+  if not rows:
     raise ValueError('These are not the metrics of a run.')
-  kept, due = [rows[0]], 0.0
-  for row in rows[1:]:
+  kept, due = [header], 0.0
+  for row in rows:
     if float(row[0]) >= due or row is rows[-1]:
       kept.append([row[0], *(f'{float(cell):.{_DIGITS}g}' for cell in row[1:])])
       due = float(row[0]) + every

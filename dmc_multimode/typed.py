@@ -1,11 +1,10 @@
 """Configurations from tables of values that a stranger may have written."""
 
-import math
+import sys
 import typing
 from typing import Any, Callable, Mapping, TypeVar
 
 _T = TypeVar('_T')
-_LARGEST = math.nextafter(math.inf, 0.0)
 _NOUNS = {
   bool: 'true or false',
   int: 'a whole number',
@@ -45,5 +44,5 @@ def build(kind: Callable[..., _T], values: Any) -> _T:
 def _fits(kind: Any, value: Any) -> bool:
   if kind is float:
     # An integer too large for a float is not finite either.
-    return type(value) in (int, float) and abs(value) <= _LARGEST
+    return type(value) in (int, float) and abs(value) <= sys.float_info.max
   return type(value) is kind

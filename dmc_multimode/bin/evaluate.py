@@ -85,6 +85,7 @@ def _evaluate(no_videos: str, communicator: distributed.Communicator) -> None:
   page = outputs.file('html', _HTML.value)
   folder = outputs.folder('figures', _FIGURES.value)
   policy = pretrained.load(_POLICY.value)
+  encoder_seed = _encoder_seed(_POLICY.value)
   config = config_lib.for_evaluation(policy.config)
   if _TIMESTEP.value is not None:
     config = config_flags.replace(config, physics_timestep=_TIMESTEP.value)
@@ -96,24 +97,22 @@ def _evaluate(no_videos: str, communicator: distributed.Communicator) -> None:
     values['clock_rates'] = scoring.evaluate_clock_rates(
       evaluator, scoring.MODE_FACTOR * _EPISODES.value, rates
     )
-  values['provenance'] = {
-    **policy.provenance,
-    'encoder_seed': _encoder_seed(_POLICY.value),
-  }
+  values['provenance'] = {**policy.provenance, 'encoder_seed': encoder_seed}
   if communicator.rank == 0:
     evaluator = scoring.Evaluator(policy, config, _SEED.value)
     _report(values, out, page, folder, evaluator, no_videos)
 
 
 def _encoder_seed(name: str) -> int | None:
-  """Returns the seed that a policy's latents come from, None for one-hot."""
+  """Returns the seed of the encoder beside a policy, None if there is none."""
   from dmc_multimode.bin import fine_tuning
   from dmc_multimode.modes import encoder
 
   try:
-    return encoder.load(fine_tuning.find_encoder(name)).config.seed
+    folder = fine_tuning.find_encoder(name)
   except ValueError:
     return None
+  return encoder.load(folder).config.seed
 
 
 def _report(

@@ -68,7 +68,7 @@ def test_report(
     assert summary['std'] == pytest.approx(np.std(values))
     assert 0 < min(values) <= max(values) < 1
   assert report['provenance']['steps'] == 12
-  # One-hot commands have no encoder; that of the shipped policies is 0.
+  # One-hot commands have no encoder.
   assert report['provenance']['encoder_seed'] is None
   assert report['task']['reference_starts'] == report['task']['edge_noise'] == 0
   for name in (*_MODES, *pairs):
@@ -146,15 +146,15 @@ def test_clock_rates(
 def test_clock_rates_where_nothing_travels(
   evaluate: processes.Binary, tmp_path: pathlib.Path
 ) -> None:
-  task = config.ImitationConfig(time_limit=0.3)
-  untrained.save(tmp_path / 'policy', ('idle',), task, {})
   out, folder = tmp_path / 'report.json', tmp_path / 'figures'
   done = evaluate(
-    *(f'--policy={tmp_path}/policy', '--episodes=1', '--clock_rates=2'),
+    *('--policy=unimodal_idle', '--episodes=1', '--clock_rates=2'),
     *(f'--out={out}', f'--figures={folder}'),
   )
   assert done.code == 0, done.stderr
-  assert json.loads(out.read_text())['clock_rates'] == {}
+  report = json.loads(out.read_text())
+  assert report['clock_rates'] == {}
+  assert report['provenance']['encoder_seed'] == 0  # It ships with its encoder.
   assert not (folder / 'clock_rates.png').exists()
 
 
