@@ -14,6 +14,9 @@ or the reverse, stays:
   gradient's norm.
 - Ours alone keeps the standard deviation below where it begins, and lowers its
   bounds (`anneal_start`).
+
+`rsl_rl_gru` is rsl_rl's with a recurrent layer before each of the two networks,
+as many units as their first hidden layer.
 """
 
 import contextlib
@@ -37,12 +40,14 @@ from dmc_multimode.suite import multimode_biped
 OURS = 'ours'
 # Of the libraries, which add the two losses up; ours are fitted apart.
 VALUE_COEFFICIENT = 0.5
-# Name -> module with a class `Learner`.
+# Name -> module and class.
 _LIBRARIES = {
-  'rsl_rl': 'benchmarks.rsl_rl_learner',
-  'sb3': 'benchmarks.sb3_learner',
+  'rsl_rl': ('benchmarks.rsl_rl_learner', 'Learner'),
+  'sb3': ('benchmarks.sb3_learner', 'Learner'),
+  'rsl_rl_gru': ('benchmarks.rsl_rl_learner', 'RecurrentLearner'),
 }
 NAMES = (OURS, *_LIBRARIES)
+ALIKE = NAMES[:3]  # With networks and initial weights that are the same.
 
 Methods = tuple[tuple[Any, str], ...]
 
@@ -64,6 +69,9 @@ class Learner(Protocol):
   def iterate(self) -> None:
     """Collects one rollout of every world and learns from it."""
 
+  def begin_episodes(self) -> None:
+    """Is called before the first action of episodes that begin together."""
+
   def select_action(self, observations: np.ndarray) -> np.ndarray:
     """Returns mean actions, rad, [B, A] for float32 [B, D], none privileged."""
 
@@ -79,6 +87,9 @@ class Ours:
     self.network = run.network
     self.select_action = run.policy().select_action
     self.threads = torch.get_num_threads()  # As `run_setup.build` left them.
+
+  def begin_episodes(self) -> None:
+    """Has no memory."""
 
   def iterate(self) -> None:
     """See `Learner`."""
@@ -111,9 +122,9 @@ def make(
   run = run_setup.build(config, motions, codebook)
   if name == OURS:
     return Ours(run)
-  module = importlib.import_module(_LIBRARIES[name])
+  module, kind = _LIBRARIES[name]
   scale = 1 - config.ppo.discount if scale_rewards else 1.0
-  learner: Learner = module.Learner(
+  learner: Learner = getattr(importlib.import_module(module), kind)(
     run.environment, run.network, config.ppo, config.seed, scale
   )
   learner.threads = config.threads

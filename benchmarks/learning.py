@@ -17,7 +17,7 @@ import math
 import pathlib
 import sys
 import time
-from typing import Any, Mapping, NamedTuple, Sequence
+from typing import Any, Callable, Mapping, NamedTuple, Sequence
 
 from absl import flags
 import mujoco
@@ -32,6 +32,7 @@ from dmc_multimode.bin import run_setup
 from dmc_multimode.bin import scoring
 from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import reference
+from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite import batched
 from dmc_multimode.suite import config as task_config
 
@@ -48,8 +49,8 @@ _THREADS = flags.DEFINE_integer(
 _SEED = flags.DEFINE_integer('seed', 0, 'Of all randomness.', 0)
 _LEARNERS = flags.DEFINE_list(
   'learners',
-  list(learners_lib.NAMES),
-  'The first is what others are compared to.',
+  list(learners_lib.ALIKE),
+  f'Of {", ".join(learners_lib.NAMES)}; the others are compared to the first.',
 )
 _STEPS = flags.DEFINE_integer(
   'steps', 5_000_000, 'Control steps of each learner; 0 for --rounds.', 0
@@ -95,6 +96,19 @@ class _Candidate:
   motions: tuple[reference.ReferenceMotion, ...]
   codebook: codebook_lib.Codebook
   select_action: evaluation.SelectAction
+  begin_episodes: Callable[[], None]
+
+
+class _Evaluator(scoring.Evaluator):
+  """Lets a policy that remembers know when episodes begin."""
+
+  policy: _Candidate
+
+  def run(
+    self, schedule: schedule_lib.ModeSchedule, label: str
+  ) -> evaluation.Episodes:
+    self.policy.begin_episodes()
+    return super().run(schedule, label)
 
 
 def drive(learner: learners_lib.Learner) -> Lap:
@@ -118,8 +132,9 @@ def judge(
     learner.environment.motions,
     learner.environment.codebook,
     learner.select_action,
+    learner.begin_episodes,
   )
-  evaluator = scoring.Evaluator(
+  evaluator = _Evaluator(
     candidate, task_config.for_evaluation(config.task), config.seed
   )
   return scoring.report(evaluator, _EPISODES, clock_rate=1.0)

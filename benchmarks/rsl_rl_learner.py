@@ -82,12 +82,15 @@ class VecEnv(rsl_rl_env.VecEnv):
     )
 
 
-def settings(ppo: ppo_config.PPOConfig, groups: list[str]) -> dict[str, Any]:
+def settings(
+  ppo: ppo_config.PPOConfig, groups: list[str], recurrent: bool = False
+) -> dict[str, Any]:
   """Returns the runner's configuration.
 
   Args:
     ppo: our hyperparameters.
     groups: of observations, the policy's first; the critic sees all.
+    recurrent: whether a GRU comes before each network.
   """
   network = {
     'class_name': models.MLPModel,
@@ -95,6 +98,12 @@ def settings(ppo: ppo_config.PPOConfig, groups: list[str]) -> dict[str, Any]:
     'activation': _ACTIVATIONS.get(ppo.activation, ppo.activation),
     'obs_normalization': True,
   }
+  if recurrent:
+    network |= {
+      'class_name': models.RNNModel,
+      'rnn_type': 'gru',
+      'rnn_hidden_dim': ppo.hidden_sizes[0],
+    }
   distribution = {
     'class_name': modules.GaussianDistribution,
     'init_std': ppo.initial_std,
@@ -133,6 +142,7 @@ class Learner:
     (algorithms.PPO, 'compute_returns'),
     (algorithms.PPO, 'update'),
   )
+  _recurrent = False
 
   def __init__(
     self,
@@ -149,19 +159,49 @@ class Learner:
     torch.manual_seed(seed)  # Of the exploration and the minibatches.
     with contextlib.redirect_stdout(io.StringIO()):  # It prints its networks.
       self.runner = runners.OnPolicyRunner(
-        worlds, settings(ppo, groups), device=_DEVICE
+        worlds, settings(ppo, groups, self._recurrent), device=_DEVICE
       )
-    learners.copy_linears(network.policy, self.runner.alg.actor)
-    learners.copy_linears(network.value, self.runner.alg.critic)
+    if not self._recurrent:
+      learners.copy_linears(network.policy, self.runner.alg.actor)
+      learners.copy_linears(network.value, self.runner.alg.critic)
+
+  def begin_episodes(self) -> None:
+    """Has no memory."""
 
   def iterate(self) -> None:
     """See `learners.Learner`."""
     self.runner.learn(1)
 
-  @torch.no_grad()
   def select_action(self, observations: np.ndarray) -> np.ndarray:
     """See `learners.Learner`."""
-    seen = tensordict.TensorDict(
-      {_SEEN: torch.from_numpy(observations)}, batch_size=[len(observations)]
-    )
-    return self.runner.get_inference_policy()(seen).numpy()
+    return _act(self.runner.get_inference_policy(), observations)
+
+
+class RecurrentLearner(Learner):
+  """The same with a GRU before each network."""
+
+  _recurrent = True
+  _memory: torch.Tensor | None = None
+
+  def begin_episodes(self) -> None:
+    """See `learners.Learner`."""
+    self._memory = None
+
+  def select_action(self, observations: np.ndarray) -> np.ndarray:
+    """See `learners.Learner`; within what `begin_episodes` began."""
+    actor = self.runner.get_inference_policy()
+    # Its own memory is of the episodes of the training, which go on.
+    of_training = actor.rnn.hidden_state
+    actor.rnn.hidden_state = self._memory
+    actions = _act(actor, observations)
+    self._memory = actor.rnn.hidden_state
+    actor.rnn.hidden_state = of_training
+    return actions
+
+
+@torch.no_grad()
+def _act(actor: Any, observations: np.ndarray) -> np.ndarray:
+  seen = tensordict.TensorDict(
+    {_SEEN: torch.from_numpy(observations)}, batch_size=[len(observations)]
+  )
+  return actor(seen).numpy()

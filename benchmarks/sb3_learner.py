@@ -167,6 +167,9 @@ class Learner:
     # Its own would make a folder in every iteration.
     self.model.set_logger(logger.Logger(folder=None, output_formats=[]))
 
+  def begin_episodes(self) -> None:
+    """Has no memory."""
+
   def iterate(self) -> None:
     """See `learners.Learner`."""
     # One iteration: nothing is logged before a second.

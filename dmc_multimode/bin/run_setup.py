@@ -65,7 +65,9 @@ class RunConfig:
   one_hot: bool = False
   init_from: str = ''
   init_modes: str = ''
-  ppo: ppo_config.PPOConfig = ppo_config.PPOConfig(symmetry='alternate')
+  ppo: ppo_config.PPOConfig = ppo_config.PPOConfig(
+    symmetry='alternate', anneal_start=6_000_000, anneal_end=9_000_000
+  )
   sampling: sampling_lib.SamplingConfig = sampling_lib.SamplingConfig()
   task: task_config.ImitationConfig = task_config.ImitationConfig(
     physics_timestep=0.01, tighten_steps=3_000_000, assist_steps=2_000_000
