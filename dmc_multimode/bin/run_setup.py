@@ -260,11 +260,16 @@ def build(
     initial: whose weights the network begins with, if any; only rank 0's
       matters.
   """
-  # The learner fits two networks at once, each with its share of the threads.
+  # Two threads at once, see `agents.pair`, each with its share of all.
   torch.set_num_threads(max(config.threads // 2, 1))
   environment = _make_environment(config, motions, codebook, communicator)
   builder = builder_lib.PPOBuilder(
-    config.ppo, config.seed, communicator, device
+    config.ppo,
+    config.seed,
+    communicator,
+    device,
+    # A GPU gains nothing, and NCCL's operations must not cross.
+    parallel=config.threads > 1 and torch.device(device).type == 'cpu',
   )
   network = builder.make_networks(
     environment.observation_spec(),
@@ -333,11 +338,4 @@ def _make_learner(
   if config.init_from and config.ppo.anchor_weight:
     known = config.init_modes.split(',')
     anchor = anchoring.Anchor(network, commands, [n in known for n in names])
-  return builder.make_learner(
-    network,
-    mirror,
-    commands,
-    # A GPU gains nothing, and NCCL's operations must not cross.
-    parallel=config.threads > 1 and torch.device(device).type == 'cpu',
-    anchor=anchor,
-  )
+  return builder.make_learner(network, mirror, commands, anchor)

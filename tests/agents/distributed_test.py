@@ -76,14 +76,14 @@ def _loop(
 ) -> tuple[_Environment, training.TrainingLoop]:
   seed = distributed.rank_seed(5, communicator.rank)
   environment = _Environment(communicator.rank, seed)
-  parts = builder.PPOBuilder(_PPO, seed=0, communicator=communicator)
+  parts = builder.PPOBuilder(_PPO, 0, communicator, parallel=True)
   network = parts.make_networks(
     environment.observation_spec(), environment.action_spec()
   )
   return environment, training.TrainingLoop(
     environment,
     parts.make_actor(network),
-    parts.make_learner(network, parallel=True),
+    parts.make_learner(network),
     _PPO.rollout_length,
     ('reach', 'turn'),
     lambda: {},
@@ -116,13 +116,11 @@ def _learn(
   """Learns from a rank's part of the rollouts: its network, and metrics."""
   config = dataclasses.replace(_WHOLE, advantages=advantages)
   environment = _Environment(0, 0)
-  parts = builder.PPOBuilder(config, 0, communicator)
+  parts = builder.PPOBuilder(config, 0, communicator, parallel=True)
   network = parts.make_networks(
     environment.observation_spec(), environment.action_spec()
   )
-  learner = parts.make_learner(
-    network, commands=symmetry.Commands(_LATENTS), parallel=True
-  )
+  learner = parts.make_learner(network, commands=symmetry.Commands(_LATENTS))
   mine = slice(communicator.rank, None, communicator.size)
   data = learning.Rollouts(*(field[:, mine] for field in _rollouts()))
   for _ in range(3):

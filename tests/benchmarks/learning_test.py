@@ -215,9 +215,7 @@ def _weights(learner: Any) -> list[torch.Tensor]:
   return [*alg.actor.parameters(), *alg.critic.parameters()]
 
 
-def _first_action(
-  learner: learners.Learner, seen: np.ndarray
-) -> np.ndarray:
+def _first_action(learner: learners.Learner, seen: np.ndarray) -> np.ndarray:
   learner.begin_episodes()
   return learner.select_action(seen)
 

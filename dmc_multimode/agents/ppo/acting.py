@@ -6,6 +6,7 @@ import dm_env
 import numpy as np
 import torch
 
+from dmc_multimode.agents import pair
 from dmc_multimode.agents.ppo import config as config_lib
 from dmc_multimode.agents.ppo import networks
 
@@ -18,11 +19,13 @@ class BatchedActor:
     network: networks.ActorCritic,
     seed: int,
     config: config_lib.PPOConfig | None = None,
+    threads: pair.Pair | None = None,
   ):
     """Acts with `network`; `seed` is that of the exploration."""
     self._network = network
     self._generator = torch.Generator().manual_seed(seed)
     self._config = config or config_lib.PPOConfig()
+    self._threads = threads or pair.Pair()
     self._quiet = torch.zeros(0, dtype=torch.bool)
 
   @torch.no_grad()
@@ -60,7 +63,8 @@ class BatchedActor:
 
   def _act(self, observation: torch.Tensor) -> torch.Tensor:
     """Asks the network, wherever it is."""
-    return self._network.act(observation.to(self._network.log_std.device)).cpu()
+    rows = observation.to(self._network.log_std.device)
+    return self._threads.map_rows(self._network.act, rows).cpu()
 
   def state(self) -> dict[str, torch.Tensor]:
     """Returns the exploration's generator, and which worlds are quiet."""

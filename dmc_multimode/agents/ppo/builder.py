@@ -7,6 +7,7 @@ import numpy as np
 import torch
 
 from dmc_multimode.agents import distributed
+from dmc_multimode.agents import pair
 from dmc_multimode.agents.ppo import acting
 from dmc_multimode.agents.ppo import anchoring
 from dmc_multimode.agents.ppo import config as config_lib
@@ -24,6 +25,7 @@ class PPOBuilder:
     seed: int,
     communicator: distributed.Communicator = distributed.LOCAL,
     device: torch.device | str = 'cpu',
+    parallel: bool = False,
   ):
     """Makes what one of the communicating ranks has.
 
@@ -33,9 +35,12 @@ class PPOBuilder:
         and exploration from the rank too.
       communicator: connects the ranks.
       device: on which networks are, and learn.
+      parallel: whether actor and learner may use a second thread. Results do
+        not depend on it.
     """
     self._config, self._seed = config, seed
     self._communicator, self._device = communicator, device
+    self._threads = pair.Pair(parallel)
     self._own_seed = distributed.rank_seed(seed, communicator.rank)
 
   def make_networks(
@@ -77,7 +82,6 @@ class PPOBuilder:
     network: networks.ActorCritic,
     mirror: symmetry.Mirror | None = None,
     commands: symmetry.Commands | None = None,
-    parallel: bool = False,
     anchor: anchoring.Anchor | None = None,
   ) -> learning.PPOLearner:
     """Returns a learner that updates `network` in place; see `PPOLearner`."""
@@ -87,11 +91,13 @@ class PPOBuilder:
       self._own_seed + 1,
       mirror,
       commands,
-      parallel,
+      self._threads,
       self._communicator,
       anchor,
     )
 
   def make_actor(self, network: networks.ActorCritic) -> acting.BatchedActor:
     """Returns an actor that explores with `network`."""
-    return acting.BatchedActor(network, self._own_seed + 2, self._config)
+    return acting.BatchedActor(
+      network, self._own_seed + 2, self._config, self._threads
+    )

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from dmc_multimode.agents import pair
 from dmc_multimode.agents import training
 from dmc_multimode.agents.ppo import acting
 from dmc_multimode.agents.ppo import builder
@@ -46,7 +47,7 @@ def _network(
 def _learner(parallel: bool = False, **changes: Any) -> learning.PPOLearner:
   config = dataclasses.replace(_CONFIG, **changes)
   network = _network(config)
-  return learning.PPOLearner(network, config, seed=1, parallel=parallel)
+  return learning.PPOLearner(network, config, 1, threads=pair.Pair(parallel))
 
 
 def _rollouts(
@@ -577,6 +578,8 @@ def test_acting() -> None:
   expected = networks.log_prob(sample.action, sample.mean, network.std)
   torch.testing.assert_close(sample.log_prob, expected)
   np.testing.assert_array_equal(actor.select_action(seen.numpy()), sample.mean)
+  other = acting.BatchedActor(network, 0, threads=pair.Pair(parallel=True))
+  assert all(map(torch.equal, other.sample(seen), sample))
 
 
 @pytest.mark.parametrize(
