@@ -27,9 +27,16 @@ _IDLE, _WALK, _LEAP, _LAUNCH = range(4)
 _load_policy = functools.cache(pretrained.load)
 
 
-def _load(name: str, **kwargs: Any) -> Any:
+def _load(
+  name: str, environment_kwargs: dict[str, Any] | None = None, **kwargs: Any
+) -> Any:
   """The registered task with a seed."""
-  return suite.load('multimode_biped', f'reach_{name}', {'random': 3, **kwargs})
+  return suite.load(
+    'multimode_biped',
+    f'reach_{name}',
+    {'random': 3, **kwargs},
+    environment_kwargs,
+  )
 
 
 def _assemble(
@@ -81,10 +88,12 @@ class _Puppet:
     return np.tile(self.action, (len(observations), 1))
 
 
-def _load_puppet(name: str, **kwargs: Any) -> tuple[Any, _Puppet]:
+def _load_puppet(
+  name: str, environment_kwargs: dict[str, Any] | None = None, **kwargs: Any
+) -> tuple[Any, _Puppet]:
   """The registered task with a puppet that keeps standing."""
   puppet = _Puppet()
-  env = _load(name, policy=puppet, **kwargs)
+  env = _load(name, environment_kwargs, policy=puppet, **kwargs)
   puppet.action = mini_biped.standing_action(env.physics.model.ptr)
   return env, puppet
 
@@ -189,9 +198,7 @@ def test_last_knot_ends_the_episode() -> None:
 
 
 def test_time_limit_of_the_inner_environment() -> None:
-  env = suite.load(
-    'multimode_biped', 'reach_gap', {'policy': _Puppet()}, {'time_limit': 0.44}
-  )
+  env, _ = _load_puppet('gap', {'time_limit': 0.44})
   env.reset()
   assert env.step(_IDLE).mid()
   last = env.step(_IDLE)
