@@ -181,4 +181,8 @@ def boxes(terrain: Terrain) -> tuple[np.ndarray, np.ndarray]:
 
 def _segment_under(terrain: Terrain, x: np.ndarray) -> np.ndarray:
   """Index of the last segment that starts at or before x, [B]."""
-  return np.maximum(np.sum(terrain.starts <= x[:, None], axis=1) - 1, 0)
+  under = np.zeros(len(x), dtype=np.int64)
+  # Not as a sum over each row: numpy is slow at short ones.
+  for start in terrain.starts.T[1:]:
+    under += start <= x
+  return under

@@ -162,54 +162,61 @@ class ReferenceBank:
     self.takeoffs = np.array([m.takeoff for m in motions])
     self.has_contacts = np.array([m.contacts is not None for m in motions])
     self._stack_keyframes()
-    # Modes that step with one foot at a time.
-    steps = self._contacts.sum(axis=-1) == 1
-    self.gaits = self.periodic & self.has_contacts & steps.any(axis=1)
+    self.touchdowns = np.where(
+      self.takeoffs > 0,
+      self.grounded(np.arange(len(motions)), self.takeoffs),
+      0.0,
+    )
 
   def _stack_keyframes(self) -> None:
-    """Pads the keyframes to one table; a pad repeats the last keyframe."""
+    """Makes one table of all keyframes, with as many rows for each motion.
+
+    A row that a motion does not need repeats its last keyframe, at a phase that
+    is never reached. All tables but `_inner_phases` have a row a keyframe.
+    """
     num, width = len(self.motions), max(len(m.phases) for m in self.motions)
-    self._phases = np.full((num, width), np.inf)
-    self._positions = np.zeros((num, width, 3))
-    self._orientations = np.tile(np.array(_IDENTITY), (num, width, 1))
-    self._contacts = np.zeros((num, width, NUM_FEET))
+    phases = np.full((num, width), np.inf)
+    positions = np.zeros((num, width, 3))
+    orientations = np.tile(np.array(_IDENTITY), (num, width, 1))
+    contacts = np.zeros((num, width, NUM_FEET))
     for i, motion in enumerate(self.motions):
       k = len(motion.phases)
-      self._phases[i, :k] = motion.phases
-      self._positions[i, :k] = motion.positions
-      self._positions[i, k:] = motion.positions[-1]
-      self._orientations[i, :k] = motion.orientations
+      phases[i, :k] = motion.phases
+      positions[i, :k] = motion.positions
+      positions[i, k:] = motion.positions[-1]
+      orientations[i, :k] = motion.orientations
       if motion.contacts is not None:
-        self._contacts[i, :k] = motion.contacts
-    self._spans = self._contact_spans()
-    self._landings = self._next_touch_downs()
-    self._airborne = self.has_contacts[:, None] & ~self._contacts.any(axis=-1)
-    # The flight that each keyframe is in, or that follows it, by its keyframe.
-    flights = np.where(self._airborne, np.arange(width), width - 1)
-    self._flights = np.minimum.accumulate(flights[:, ::-1], axis=1)[:, ::-1]
-    modes = np.arange(num)
-    self.touchdowns = np.where(
-      self.takeoffs > 0, self.grounded(modes, self.takeoffs), 0.0
-    )
-    start = _rotation(self._orientations[:, :-1].reshape(-1, 4))
-    end = _rotation(self._orientations[:, 1:].reshape(-1, 4))
+        contacts[i, :k] = motion.contacts
+    self._width = width
+    self._phases = phases.ravel()
+    # By keyframe, then by motion: what is summed lies together.
+    self._inner_phases = np.ascontiguousarray(phases[:, 1:-1].T)
+    self._positions = positions.reshape(-1, 3)
+    self._orientations = orientations.reshape(-1, 4)
+    self._contacts = contacts.reshape(-1, NUM_FEET)
+    self._spans = _contact_spans(phases, contacts).reshape(2, -1)
+    self._landings = _next_touch_downs(phases, contacts).ravel()
+    airborne = self.has_contacts[:, None] & ~contacts.any(axis=-1)
+    self._airborne = airborne.ravel()
+    self._flights = _next_flights(airborne).ravel()
+    # Modes that step with one foot at a time.
+    steps = contacts.sum(axis=-1) == 1
+    self.gaits = self.periodic & self.has_contacts & steps.any(axis=1)
+    start = _rotation(self._orientations[:-1])
+    end = _rotation(self._orientations[1:])
     # Rotation vector from each keyframe to the next: slerp is its scaling.
-    self._turns = (start.inv() * end).as_rotvec().reshape(num, width - 1, 3)
-    self._turning = self._turns.any(axis=(1, 2))
-    first, last = self._positions[:, 0], self._positions[:, -1]
+    turns = np.zeros((num * width, 3))
+    turns[:-1] = (start.inv() * end).as_rotvec()
+    turns[width - 1 :: width] = 0.0  # Nothing follows a motion's last one.
+    self._turns = turns
+    self._turning = turns.reshape(num, width, 3).any(axis=(1, 2))
+    first, last = positions[:, 0], positions[:, -1]
     self.displacements = np.where(self.periodic[:, None], last - first, 0.0)
     # Yaw gained over one cycle; zero for modes that do not turn.
     ends = np.stack([m.orientations[-1] for m in self.motions])
     starts = np.stack([m.orientations[0] for m in self.motions])
     self.turns = np.where(self.periodic, yaw(ends) - yaw(starts), 0.0)
     self._velocities = self._keyframe_velocities()
-
-  def _next_touch_downs(self) -> np.ndarray:
-    """Returns the phase of the first contact at or after each keyframe."""
-    phases = np.minimum(self._phases, 1.0)
-    landings = np.where(self._contacts.any(axis=-1), phases, np.inf)
-    landings = np.minimum.accumulate(landings[:, ::-1], axis=1)[:, ::-1]
-    return np.minimum(landings, 1.0)
 
   def grounded(
     self, modes: np.ndarray, phases: np.ndarray, push_off: float = 0.0
@@ -221,13 +228,11 @@ class ReferenceBank:
       phases: phases in [0, 1], [B].
       push_off: how long before its take-off a flight begins to count, seconds.
     """
-    left, _ = self._locate(modes, phases)
-    flight = self._flights[modes, left]
-    begins = np.where(
-      self._airborne[modes, flight], self._phases[modes, flight], np.inf
-    )
+    keyframe, _ = self._locate(modes, phases)
+    flight = self._flights[keyframe]
+    begins = np.where(self._airborne[flight], self._phases[flight], np.inf)
     flies = begins - phases <= push_off / self.durations[modes]
-    return np.where(flies, self._landings[modes, flight], phases)
+    return np.where(flies, self._landings[flight], phases)
 
   def __len__(self) -> int:
     return len(self.motions)
@@ -251,40 +256,36 @@ class ReferenceBank:
       The `Reference`: positions and contacts linearly interpolated and held,
       respectively, orientations by spherical linear interpolation.
     """
-    left, weight = self._locate(modes, phases)
+    keyframe, weight = self._locate(modes, phases)
     return Reference(
-      self._position(modes, left, weight),
-      self._orientation(modes, left, weight),
-      self._contacts[modes, left],
-      self.has_contacts[modes],
+      self._position(keyframe, weight),
+      self._orientation(modes, keyframe, weight),
+      self._contacts.take(keyframe, axis=0),
+      self.has_contacts.take(modes),
     )
 
   def _locate(
     self, modes: np.ndarray, phases: np.ndarray
   ) -> tuple[np.ndarray, np.ndarray]:
     """Returns the last keyframes, [B], and how far on to the next, [B, 1]."""
-    table = self._phases[modes]
-    left = np.sum(phases[:, None] >= table[:, 1:-1], axis=1)
-    rows = np.arange(len(phases))
-    t0, t1 = table[rows, left], table[rows, left + 1]
-    return left, ((phases - t0) / (t1 - t0))[:, None]
+    # `take` is several times as fast as to index by mode and keyframe.
+    passed = phases >= self._inner_phases.take(modes, axis=1)
+    keyframe = modes * self._width + passed.sum(axis=0)
+    t0, t1 = self._phases.take(keyframe), self._phases.take(keyframe + 1)
+    return keyframe, ((phases - t0) / (t1 - t0))[:, None]
 
-  def _position(
-    self, modes: np.ndarray, left: np.ndarray, weight: np.ndarray
-  ) -> np.ndarray:
-    start = self._positions[modes, left]
-    return start + weight * (self._positions[modes, left + 1] - start)
+  def _position(self, keyframe: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    start = self._positions.take(keyframe, axis=0)
+    return start + weight * (self._positions.take(keyframe + 1, axis=0) - start)
 
   def _orientation(
-    self, modes: np.ndarray, left: np.ndarray, weight: np.ndarray
+    self, modes: np.ndarray, keyframe: np.ndarray, weight: np.ndarray
   ) -> np.ndarray:
-    orientation = self._orientations[modes, left]
+    orientation = self._orientations.take(keyframe, axis=0)
     # Few modes turn at all, and the products cost more than all the rest.
-    rows = np.flatnonzero(self._turning[modes])
+    rows = np.flatnonzero(self._turning.take(modes))
     if len(rows):
-      turn = _rotation_from_vector(
-        weight[rows] * self._turns[modes[rows], left[rows]]
-      )
+      turn = _rotation_from_vector(weight[rows] * self._turns[keyframe[rows]])
       turned = _rotation(orientation[rows]) * turn
       orientation[rows] = turned.as_quat(scalar_first=True)
     return orientation
@@ -304,8 +305,8 @@ class ReferenceBank:
     """
     before = np.clip(phases - step, 0.0, 1.0)
     after = np.clip(phases + step, 0.0, 1.0)
-    moved = self._position(modes, *self._locate(modes, after))
-    moved = moved - self._position(modes, *self._locate(modes, before))
+    moved = self._position(*self._locate(modes, after))
+    moved = moved - self._position(*self._locate(modes, before))
     return moved / ((after - before) * self.durations[modes])[:, None]
 
   def start_velocity(self, modes: np.ndarray, phases: np.ndarray) -> np.ndarray:
@@ -324,12 +325,12 @@ class ReferenceBank:
     Returns:
       Linear velocities in the anchor frame at clock rate 1, in m/s, [B, 3].
     """
-    left, weight = self._locate(modes, phases)
-    before = self._velocities[modes, left]
-    after = self._velocities[modes, left + 1]
+    keyframe, weight = self._locate(modes, phases)
+    before = self._velocities[keyframe]
+    after = self._velocities[keyframe + 1]
     return np.where(
-      self._airborne[modes, left][:, None],
-      self._ballistic_velocity(modes, phases, self._landings[modes, left]),
+      self._airborne[keyframe][:, None],
+      self._ballistic_velocity(modes, phases, self._landings[keyframe]),
       before + weight * (after - before),
     )
 
@@ -346,31 +347,16 @@ class ReferenceBank:
       Whether a foot (left, right) swings while the other stands, [B, 2]; the
       time since the middle of that step, seconds, [B], and its length, [B].
     """
-    left, _ = self._locate(modes, phases)
-    contact = self._contacts[modes, left]
+    keyframe, _ = self._locate(modes, phases)
+    contact = self._contacts[keyframe]
     single = self.has_contacts[modes] & (contact.sum(axis=1) == 1)
-    begin, end = self._spans[:, modes, left]
+    begin, end = self._spans[:, keyframe]
     duration = self.durations[modes]
     return (
       single[:, None] & (contact == 0),
       (phases - (begin + end) / 2) * duration,
       (end - begin) * duration,
     )
-
-  def _contact_spans(self) -> np.ndarray:
-    """Phases from and to which the contacts of keyframes last, [2, M, K]."""
-    num, width = self._phases.shape
-    phases = np.minimum(self._phases, 1.0)
-    spans = np.stack([phases, np.roll(phases, -1, axis=1)])
-    spans[1, :, -1] = 1.0
-    same = (self._contacts[:, 1:] == self._contacts[:, :-1]).all(axis=-1)
-    for i in range(1, width):
-      spans[0, :, i] = np.where(
-        same[:, i - 1], spans[0, :, i - 1], spans[0, :, i]
-      )
-      j = width - 1 - i
-      spans[1, :, j] = np.where(same[:, j], spans[1, :, j + 1], spans[1, :, j])
-    return spans
 
   def _ballistic_velocity(
     self, modes: np.ndarray, phases: np.ndarray, landings: np.ndarray
@@ -381,19 +367,52 @@ class ReferenceBank:
     start = np.clip(landings - least, 0.0, phases)
     span = np.maximum(landings - start, least)
     time = (span * self.durations[modes])[:, None]
-    moved = self._position(modes, *self._locate(modes, landings))
-    moved = moved - self._position(modes, *self._locate(modes, start))
+    moved = self._position(*self._locate(modes, landings))
+    moved = moved - self._position(*self._locate(modes, start))
     return moved / time + 0.5 * time * np.array([0.0, 0.0, _GRAVITY])
 
   def _keyframe_velocities(self) -> np.ndarray:
-    """Returns `start_velocity` at the keyframes, [M, K, 3]."""
-    num, width = self._phases.shape
-    modes = np.repeat(np.arange(num), width)
-    phases = np.minimum(self._phases, 1.0).ravel()
+    """Returns `start_velocity` at the keyframes."""
+    modes = np.repeat(np.arange(len(self.motions)), self._width)
+    phases = np.minimum(self._phases, 1.0)
     slopes = self.velocity(modes, phases)
-    flight = self._ballistic_velocity(modes, phases, self._landings.ravel())
-    velocities = np.where(self._airborne.reshape(-1, 1), flight, slopes)
-    return velocities.reshape(num, width, 3)
+    flight = self._ballistic_velocity(modes, phases, self._landings)
+    return np.where(self._airborne[:, None], flight, slopes)
+
+
+def _contact_spans(phases: np.ndarray, contacts: np.ndarray) -> np.ndarray:
+  """Phases from and to which the contacts of keyframes last, [2, M, K]."""
+  width = phases.shape[1]
+  phases = np.minimum(phases, 1.0)
+  spans = np.stack([phases, np.roll(phases, -1, axis=1)])
+  spans[1, :, -1] = 1.0
+  same = (contacts[:, 1:] == contacts[:, :-1]).all(axis=-1)
+  for i in range(1, width):
+    spans[0, :, i] = np.where(
+      same[:, i - 1], spans[0, :, i - 1], spans[0, :, i]
+    )
+    j = width - 1 - i
+    spans[1, :, j] = np.where(same[:, j], spans[1, :, j + 1], spans[1, :, j])
+  return spans
+
+
+def _next_touch_downs(phases: np.ndarray, contacts: np.ndarray) -> np.ndarray:
+  """Returns the phase of the first contact at or after keyframes, [M, K]."""
+  landings = np.where(contacts.any(axis=-1), np.minimum(phases, 1.0), np.inf)
+  landings = np.minimum.accumulate(landings[:, ::-1], axis=1)[:, ::-1]
+  return np.minimum(landings, 1.0)
+
+
+def _next_flights(airborne: np.ndarray) -> np.ndarray:
+  """Returns the flight that each keyframe is in, or that follows it, [M, K].
+
+  By its keyframe, as a row of a table of all keyframes; the motion's last one
+  where no flight follows.
+  """
+  num, width = airborne.shape
+  flights = np.where(airborne, np.arange(width), width - 1)
+  flights = np.minimum.accumulate(flights[:, ::-1], axis=1)[:, ::-1]
+  return flights + width * np.arange(num)[:, None]
 
 
 def yaw(quaternions: np.ndarray) -> np.ndarray:

@@ -33,6 +33,7 @@ _FOOT_REACH = 0.12  # Metres ahead and behind the trunk that feet may cover.
 _LEAST_ALONG = 0.5  # Share of the way of a step that is along x, at least.
 _STRIDE = 0.45  # Metres ahead of the trunk where a foot may stand already.
 _LANDED = 0.2  # Metres past an edge where no foot is before it any more.
+_ANYWHERE = np.eye(7 + observations.NUM_JOINTS)[3]  # Qpos: unturned.
 
 
 class Outcome(NamedTuple):
@@ -178,15 +179,13 @@ class ImitationCore:
     config = self.config
     self.contact[:] = contact
     self.tracker.advance()
-    finite = np.isfinite(qpos).all(axis=1) & np.isfinite(qvel).all(axis=1)
-    safe = np.where(finite[:, None], qpos, 0.0)
+    finite = observations.finite_rows(qpos) & observations.finite_rows(qvel)
+    # A world that diverged is nowhere; anywhere keeps the others going.
+    safe = qpos if finite.all() else np.where(finite[:, None], qpos, _ANYWHERE)
     reference = self.reference(safe[:, 0])
     errors = rewards.tracking_errors(
       safe[:, :3],
-      observations.heading_frame(
-        np.where(finite[:, None], qpos[:, 3:7], (1.0, 0.0, 0.0, 0.0)),
-        self.tracker.state.heading,
-      ),
+      observations.heading_frame(safe[:, 3:7], self.tracker.state.heading),
       contact,
       reference.position,
       reference.orientation,

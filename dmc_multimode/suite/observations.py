@@ -43,14 +43,26 @@ def heading_frame(quaternion: np.ndarray, heading: np.ndarray) -> np.ndarray:
   Returns:
     Unit quaternions with w >= 0, [B, 4].
   """
-  c, s = np.cos(heading / 2)[:, None], np.sin(heading / 2)[:, None]
-  w, x, y, z = (quaternion[:, i : i + 1] for i in range(4))
+  c, s = np.cos(heading / 2), np.sin(heading / 2)
+  # Numbers that lie together are worked on much faster.
+  w, x, y, z = np.ascontiguousarray(quaternion.T)
   # The product of the inverse heading (c, 0, 0, -s) and the quaternion.
-  turned = np.concatenate(
-    [c * w + s * z, c * x + s * y, c * y - s * x, c * z - s * w], axis=-1
+  turned = np.stack(
+    [c * w + s * z, c * x + s * y, c * y - s * x, c * z - s * w]
   )
-  turned /= np.linalg.norm(turned, axis=-1, keepdims=True)
-  return np.where(turned[:, :1] < 0, -turned, turned)
+  turned /= np.linalg.norm(turned, axis=0)
+  turned *= np.where(turned[0] < 0, -1.0, 1.0)
+  return np.ascontiguousarray(turned.T)
+
+
+def finite_rows(values: np.ndarray) -> np.ndarray:
+  """Whether all numbers of each row [B, N] are finite, [B]."""
+  # All are, as a rule; and a sum is not finite where what it sums is not.
+  with np.errstate(over='ignore', invalid='ignore'):
+    total = values.sum()
+  if np.isfinite(total):
+    return np.ones(len(values), dtype=bool)
+  return np.isfinite(values).all(axis=1)
 
 
 def observe(
@@ -75,9 +87,7 @@ def observe(
   """
   # A world that diverged has no orientation; identity keeps the others going.
   quaternion = np.where(
-    np.isfinite(qpos[:, 3:7]).all(axis=1, keepdims=True),
-    qpos[:, 3:7],
-    (1.0, 0.0, 0.0, 0.0),
+    finite_rows(qpos[:, 3:7])[:, None], qpos[:, 3:7], (1.0, 0.0, 0.0, 0.0)
   )
   trunk = transform.Rotation.from_quat(quaternion, scalar_first=True)
   return {
@@ -94,4 +104,4 @@ def observe(
 
 def flatten(parts: Mapping[str, np.ndarray]) -> np.ndarray:
   """Concatenates the parts to float32 vectors, [B, 33 + n_m]."""
-  return np.concatenate(list(parts.values()), axis=-1).astype(np.float32)
+  return np.concatenate(list(parts.values()), axis=-1, dtype=np.float32)

@@ -56,13 +56,19 @@ def tracking_errors(
     contact, reference_contact: feet on the ground (left, right), [B, 2].
     has_contact: whether the reference prescribes contacts, [B].
   """
-  agreement = np.sum(orientation * reference_orientation, axis=-1)
-  difference = np.linalg.norm(contact - reference_contact, axis=-1)
+  agreement = _dot(orientation, reference_orientation)
+  distance = position - reference_position
+  difference = contact - reference_contact
   return TrackingErrors(
-    np.linalg.norm(position - reference_position, axis=-1),
+    np.sqrt(_dot(distance, distance)),
     1.0 - np.minimum(agreement**2, 1.0),
-    np.where(has_contact, difference, 0.0),
+    np.where(has_contact, np.sqrt(_dot(difference, difference)), 0.0),
   )
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+  """Returns the scalar products of rows, [B]; faster than a sum over them."""
+  return np.einsum('bi,bi->b', a, b)
 
 
 def reward_terms(

@@ -57,6 +57,21 @@ class PartsTest(parameterized.TestCase):
     turned = observations.heading_frame(-3 * _yaw(40)[None], np.zeros(1))
     np.testing.assert_allclose(turned[0], _yaw(40))
 
+  @parameterized.parameters(
+    ((0.0, 1.0), (2.0, 3.0), (True, True)),
+    ((0.0, np.nan), (2.0, 3.0), (False, True)),
+    ((0.0, np.inf), (-np.inf, 3.0), (False, False)),
+    ((0.0, 1e308), (1e308, 3.0), (True, True)),  # Their sum alone is not.
+  )
+  def test_finite_rows(
+    self,
+    first: tuple[float, float],
+    second: tuple[float, float],
+    expected: tuple[bool, bool],
+  ) -> None:
+    finite = observations.finite_rows(np.array([first, second]))
+    np.testing.assert_array_equal(finite, expected)
+
 
 class ObserveTest(parameterized.TestCase):
   def setUp(self) -> None:
