@@ -82,6 +82,19 @@ def test_report(
   assert 'walk_forward: speed' in done.stdout
 
 
+def test_two_ranks_report_what_one_does(
+  evaluate: processes.Binary, policy: pathlib.Path, tmp_path: pathlib.Path
+) -> None:
+  flags = f'--policy={policy}', '--episodes=1'
+  one, two = tmp_path / 'one.json', tmp_path / 'two.json'
+  alone = evaluate(*flags, f'--out={one}')
+  module = 'dmc_multimode.bin.evaluate'
+  shared = processes.run_ranks(module, *flags, f'--out={two}')
+  assert (alone.code, shared.code) == (0, 0), shared.stderr
+  assert one.read_bytes() == two.read_bytes()
+  assert shared.stdout.splitlines()[:-1] == alone.stdout.splitlines()[:-1]
+
+
 def test_figures(
   evaluate: processes.Binary, policy: pathlib.Path, tmp_path: pathlib.Path
 ) -> None:

@@ -126,3 +126,17 @@ class Binary:
 def send(process: int, number: signal.Signals) -> None:
   """Sends a signal."""
   os.kill(process, number)
+
+
+def run_ranks(module: str, *args: str) -> Done:
+  """Runs a command line in two processes that work together."""
+  launcher = '-m', 'torch.distributed.run', '--standalone', '--nproc_per_node=2'
+  done = subprocess.run(
+    [sys.executable, *launcher, '-m', module, *args],
+    capture_output=True,
+    text=True,
+    cwd=_ROOT,
+    timeout=_TIMEOUT,
+    check=False,
+  )
+  return Done(done.returncode, done.stdout, done.stderr)
