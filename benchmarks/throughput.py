@@ -60,8 +60,11 @@ _SECONDS = flags.DEFINE_float(
 )
 _SEED = flags.DEFINE_integer('seed', 0, 'Of actions and episodes.', 0)
 _OUT = flags.DEFINE_string('out', None, 'JSON file to write.')
-_PROFILE = flags.DEFINE_bool(
-  'profile', False, 'Show where the time of BatchedImitation goes instead.'
+_PROFILE = flags.DEFINE_enum(
+  'profile',
+  None,
+  ['environment', 'loop'],
+  'Show where the time of BatchedImitation, or of the PPO loop, goes instead.',
 )
 common.define_run_flags()
 
@@ -202,9 +205,10 @@ class _Training:
 
   def __init__(self, config: run_setup.RunConfig):
     self._loop = _build(config).loop
-    self._iteration()  # The first one allocates.
+    self.iterate()  # The first one allocates.
 
-  def _iteration(self) -> None:
+  def iterate(self) -> None:
+    """Collects one rollout of every world and learns from it."""
     length = training.TrainingConfig(steps=self._loop.steps + 1)
     self._loop.run(length, loggers.Dispatcher([]), save=lambda: None)
 
@@ -212,7 +216,7 @@ class _Training:
     """Runs iterations until the time is up."""
     before, spent = self._loop.steps, 0.0
     while spent < seconds:
-      spent += _time(self._iteration)
+      spent += _time(self.iterate)
     return {_PPO: (self._loop.steps - before) / spent}
 
   def close(self) -> None:
@@ -297,23 +301,41 @@ def _row(name: str, rates: Mapping[str, list[float]]) -> Row:
 
 
 def profile(config: run_setup.RunConfig) -> list[Row]:
-  """Returns what share of BatchedImitation.step each function takes."""
-  worlds, profiler, spent = _Worlds(config), cProfile.Profile(), 0.0
+  """Returns what share of a step, or of an iteration, each function takes."""
+  profiler, spent = cProfile.Profile(), 0.0
+  once = _once(config)
   with tqdm.tqdm(total=round(_SECONDS.value, 2), unit='s') as bar:
     while spent < _SECONDS.value:
-      actions = worlds.draw()
-      step = functools.partial(profiler.runcall, worlds.step, actions)
-      seconds = _time(step)
+      seconds = _time(functools.partial(profiler.runcall, once()))
       bar.update(round(seconds, 3))
       spent += seconds
-  return _shares(pstats.Stats(profiler).stats)  # type: ignore[attr-defined]
+  rows = _shares(pstats.Stats(profiler).stats)  # type: ignore[attr-defined]
+  column = 'own_percent'
+  if _PROFILE.value == 'loop':
+    # Ours are called by torch, too, which `own` knows nothing of.
+    column = 'percent'
+    rows = [{key: row[key] for key in ('name', column)} for row in rows]
+  rows.sort(key=lambda row: -row[column])
+  return [row for row in rows if row[column] >= _LEAST_SHARE]
+
+
+def _once(
+  config: run_setup.RunConfig,
+) -> Callable[[], Callable[[], None]]:
+  """Returns what makes the next call to profile."""
+  if _PROFILE.value == 'loop':
+    loop = _Training(config)
+    return lambda: loop.iterate
+  worlds = _Worlds(config)
+  return lambda: functools.partial(worlds.step, worlds.draw())
 
 
 def _shares(stats: Mapping[Any, Any]) -> list[Row]:
-  """Splits the time among our functions and the engine's.
+  """Returns what each of our functions and the engine's takes.
 
-  What a function spends in numpy or scipy counts as its own; all shares of
-  their own add up to 100 percent.
+  Own is what it spends without any other of these. In a step of the
+  environment, where numpy and scipy call none of ours, they add up to 100
+  percent. Only the calling thread is seen, and that it waits for others.
   """
   ours = str(pathlib.Path(dmc_multimode.__file__).parent)
   files = (ours, mujoco_batch.__file__)
@@ -324,7 +346,7 @@ def _shares(stats: Mapping[Any, Any]) -> list[Row]:
       if caller in own:
         own[caller] -= cumulative
   total = max(cumulative for *_, cumulative, _ in chosen.values())
-  rows = [
+  return [
     {
       'name': f'{pathlib.Path(file).stem}.{function}',
       'own_percent': 100 * own[file, line, function] / total,
@@ -332,8 +354,6 @@ def _shares(stats: Mapping[Any, Any]) -> list[Row]:
     }
     for (file, line, function), (*_, cumulative, _) in chosen.items()
   ]
-  rows.sort(key=lambda row: -row['own_percent'])
-  return [row for row in rows if row['own_percent'] >= _LEAST_SHARE]
 
 
 def _print_comparison(rows: list[Row]) -> None:
@@ -350,9 +370,12 @@ def _print_comparison(rows: list[Row]) -> None:
 
 
 def _print_profile(rows: list[Row]) -> None:
-  print(f'{"percent of a step":36}{"own":>8}{"with callees":>15}')
+  whole = _PROFILE.value == 'loop'
+  title = f'percent of {"an iteration" if whole else "a step"}'
+  print(f'{title:36}{"in all":>8}{"" if whole else "own":>8}')
   for row in rows:
-    print(f'{row["name"]:36}{row["own_percent"]:8.2f}{row["percent"]:15.2f}')
+    own = f'{row["own_percent"]:8.2f}' if 'own_percent' in row else ''
+    print(f'{row["name"]:36}{row["percent"]:8.2f}{own}')
 
 
 def _report(config: run_setup.RunConfig, rows: list[Row]) -> dict[str, Any]:
