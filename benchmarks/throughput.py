@@ -139,6 +139,10 @@ class _Worlds:
       steps += self.environment.num_worlds
     return {name: steps / seconds for name, seconds in spent.items()}
 
+  def profile(self, profiler: cProfile.Profile) -> None:
+    """Profiles a step, without the choice of its actions."""
+    profiler.runcall(self.step, self.draw())
+
   def _step_raw(self) -> None:
     with contextlib.suppress(mujoco_batch.SimulationError):
       self.environment.batch.step(nstep=self.environment.config.substeps)
@@ -205,10 +209,9 @@ class _Training:
 
   def __init__(self, config: run_setup.RunConfig):
     self._loop = _build(config).loop
-    self.iterate()  # The first one allocates.
+    self._iteration()  # The first one allocates.
 
-  def iterate(self) -> None:
-    """Collects one rollout of every world and learns from it."""
+  def _iteration(self) -> None:
     length = training.TrainingConfig(steps=self._loop.steps + 1)
     self._loop.run(length, loggers.Dispatcher([]), save=lambda: None)
 
@@ -216,8 +219,12 @@ class _Training:
     """Runs iterations until the time is up."""
     before, spent = self._loop.steps, 0.0
     while spent < seconds:
-      spent += _time(self.iterate)
+      spent += _time(self._iteration)
     return {_PPO: (self._loop.steps - before) / spent}
+
+  def profile(self, profiler: cProfile.Profile) -> None:
+    """Profiles an iteration."""
+    profiler.runcall(self._iteration)
 
   def close(self) -> None:
     """Has nothing to end."""
@@ -302,32 +309,21 @@ def _row(name: str, rates: Mapping[str, list[float]]) -> Row:
 
 def profile(config: run_setup.RunConfig) -> list[Row]:
   """Returns what share of a step, or of an iteration, each function takes."""
+  whole = _PROFILE.value == 'loop'
+  contender = _Training(config) if whole else _Worlds(config)
   profiler, spent = cProfile.Profile(), 0.0
-  once = _once(config)
   with tqdm.tqdm(total=round(_SECONDS.value, 2), unit='s') as bar:
     while spent < _SECONDS.value:
-      seconds = _time(functools.partial(profiler.runcall, once()))
+      seconds = _time(functools.partial(contender.profile, profiler))
       bar.update(round(seconds, 3))
       spent += seconds
   rows = _shares(pstats.Stats(profiler).stats)  # type: ignore[attr-defined]
-  column = 'own_percent'
-  if _PROFILE.value == 'loop':
+  column = 'percent' if whole else 'own_percent'
+  if whole:
     # Ours are called by torch, too, which `own` knows nothing of.
-    column = 'percent'
     rows = [{key: row[key] for key in ('name', column)} for row in rows]
   rows.sort(key=lambda row: -row[column])
   return [row for row in rows if row[column] >= _LEAST_SHARE]
-
-
-def _once(
-  config: run_setup.RunConfig,
-) -> Callable[[], Callable[[], None]]:
-  """Returns what makes the next call to profile."""
-  if _PROFILE.value == 'loop':
-    loop = _Training(config)
-    return lambda: loop.iterate
-  worlds = _Worlds(config)
-  return lambda: functools.partial(worlds.step, worlds.draw())
 
 
 def _shares(stats: Mapping[Any, Any]) -> list[Row]:
@@ -374,7 +370,7 @@ def _print_profile(rows: list[Row]) -> None:
   title = f'percent of {"an iteration" if whole else "a step"}'
   print(f'{title:36}{"in all":>8}{"" if whole else "own":>8}')
   for row in rows:
-    own = f'{row["own_percent"]:8.2f}' if 'own_percent' in row else ''
+    own = '' if whole else f'{row["own_percent"]:8.2f}'
     print(f'{row["name"]:36}{row["percent"]:8.2f}{own}')
 
 

@@ -202,14 +202,13 @@ class ReferenceBank:
     # Modes that step with one foot at a time.
     steps = contacts.sum(axis=-1) == 1
     self.gaits = self.periodic & self.has_contacts & steps.any(axis=1)
-    start = _rotation(self._orientations[:-1])
-    end = _rotation(self._orientations[1:])
+    start = _rotation(orientations[:, :-1].reshape(-1, 4))
+    end = _rotation(orientations[:, 1:].reshape(-1, 4))
     # Rotation vector from each keyframe to the next: slerp is its scaling.
-    turns = np.zeros((num * width, 3))
-    turns[:-1] = (start.inv() * end).as_rotvec()
-    turns[width - 1 :: width] = 0.0  # Nothing follows a motion's last one.
-    self._turns = turns
-    self._turning = turns.reshape(num, width, 3).any(axis=(1, 2))
+    turns = np.zeros((num, width, 3))  # Nothing follows the last ones.
+    turns[:, :-1] = (start.inv() * end).as_rotvec().reshape(num, width - 1, 3)
+    self._turns = turns.reshape(-1, 3)
+    self._turning = turns.any(axis=(1, 2))
     first, last = positions[:, 0], positions[:, -1]
     self.displacements = np.where(self.periodic[:, None], last - first, 0.0)
     # Yaw gained over one cycle; zero for modes that do not turn.

@@ -128,11 +128,21 @@ def send(process: int, number: signal.Signals) -> None:
   os.kill(process, number)
 
 
+def torchrun(ranks: int, *flags: str) -> tuple[str, ...]:
+  """Returns what comes after `python` to start so many ranks on one machine."""
+  return (
+    '-m',
+    'torch.distributed.run',
+    '--standalone',
+    f'--nproc_per_node={ranks}',
+    *flags,
+  )
+
+
 def run_ranks(module: str, *args: str) -> Done:
   """Runs a command line in two processes that work together."""
-  launcher = '-m', 'torch.distributed.run', '--standalone', '--nproc_per_node=2'
   done = subprocess.run(
-    [sys.executable, *launcher, '-m', module, *args],
+    [sys.executable, *torchrun(2), '-m', module, *args],
     capture_output=True,
     text=True,
     cwd=_ROOT,

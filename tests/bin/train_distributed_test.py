@@ -15,6 +15,7 @@ from dmc_multimode import pretrained
 from dmc_multimode.agents import checkpointing
 from dmc_multimode.bin import launches
 from dmc_multimode.bin import run_setup
+from tests.bin import processes
 from tests.bin import short_run
 from tests.bin import untrained
 
@@ -97,16 +98,6 @@ class Launch:
     return checkpointing.load_tensors(self.folder / f'network{rank}')[0]
 
 
-def _torchrun(ranks: int, *flags: str) -> tuple[str, ...]:
-  return (
-    '-m',
-    'torch.distributed.run',
-    '--standalone',
-    f'--nproc_per_node={ranks}',
-    *flags,
-  )
-
-
 def _finish(process: subprocess.Popen[str]) -> tuple[str, str]:
   """Returns stdout and stderr."""
   try:
@@ -136,7 +127,9 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Launch:
   launch = Launch(tmp_path_factory.mktemp('two') / 'launch')
   stdout, stderr = _finish(
     launch.start(
-      '--threads=2', f'--steps={short_run.STEPS}', launcher=_torchrun(2)
+      '--threads=2',
+      f'--steps={short_run.STEPS}',
+      launcher=processes.torchrun(2),
     )
   )
   # Rank 0 alone has a say.
@@ -151,11 +144,13 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Launch:
 
 def test_one_rank_is_what_no_torchrun_is(tmp_path: pathlib.Path) -> None:
   launches = [Launch(tmp_path / name) for name in ('plain', 'torchrun')]
-  processes = [
+  started = [
     launch.start('--threads=1', f'--steps={short_run.STEPS}', launcher=launcher)
-    for launch, launcher in zip(launches, ((), _torchrun(1)), strict=True)
+    for launch, launcher in zip(
+      launches, ((), processes.torchrun(1)), strict=True
+    )
   ]
-  for process in processes:
+  for process in started:
     _finish(process)
   plain, under = (
     checkpointing.load_tensors(launch.run / checkpointing.NAME)
@@ -192,7 +187,7 @@ def test_killed_rank_begins_again_and_ends_the_same(
   process = launch.start(
     '--threads=2',
     f'--steps={short_run.STEPS}',
-    launcher=_torchrun(2, '--max-restarts=3'),
+    launcher=processes.torchrun(2, '--max-restarts=3'),
     STALL_IN=str(marks),
   )
   try:
@@ -215,7 +210,7 @@ def test_both_stop_when_one_is_asked(tmp_path: pathlib.Path) -> None:
   """A signal to rank 1 alone; torchrun never hears of it."""
   launch = Launch(tmp_path / 'stopped')
   process = launch.start(
-    '--threads=2', '--steps=10000000', launcher=_torchrun(2)
+    '--threads=2', '--steps=10000000', launcher=processes.torchrun(2)
   )
   try:
     _wait_for((launch.run / 'metrics.csv').exists)
@@ -247,7 +242,7 @@ def test_two_ranks_begin_with_one_policy(tmp_path: pathlib.Path) -> None:
       '--threads=2',
       f'--steps={2 * short_run.ITERATION}',
       *rates,
-      launcher=_torchrun(2),
+      launcher=processes.torchrun(2),
     )
   )
   _assert_equal(launch.network(0), launch.network(1))
