@@ -38,7 +38,8 @@ cat >"$work/node.py" <<'PYTHON'
 import os
 import pathlib
 
-from dmc_multimode.agents import checkpointing
+import safetensors.torch
+
 from dmc_multimode.bin import train
 
 loop = train.training.TrainingLoop
@@ -50,8 +51,9 @@ folder = pathlib.Path(__file__).parent
 def run_and_note(self, *args):
   run(self, *args)
   weights = self._learner.network.state_dict()
+  # Without metadata, whose order in the file is drawn anew by every process.
   path = folder / f'network{os.environ["NODE"]}'
-  checkpointing.save_tensors(path, weights, {'steps': self.steps})
+  safetensors.torch.save_file(weights, path)
 
 
 loop.run = run_and_note
