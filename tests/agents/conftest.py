@@ -5,6 +5,8 @@ from typing import Iterator
 import pytest
 import torch
 
+from dmc_multimode.agents import blas
+
 
 @pytest.fixture
 def one_thread() -> Iterator[None]:
@@ -13,3 +15,17 @@ def one_thread() -> Iterator[None]:
   torch.set_num_threads(1)
   yield
   torch.set_num_threads(before)
+
+
+@pytest.fixture(params=['torch', 'openblas'])
+def library(
+  request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[str]:
+  """Lets `agents.blas` multiply by a library, whatever the processor."""
+  name: str = request.param
+  blas._sgemm.cache_clear()
+  monkeypatch.setattr(blas, '_is_amd', lambda: name == 'openblas')
+  if name == 'openblas' and blas._sgemm() is None:
+    pytest.skip('scipy-openblas32 is not installed.')
+  yield name
+  blas._sgemm.cache_clear()

@@ -133,7 +133,9 @@ class PPOLearner:
     device = self.network.log_std.device
     rollouts = Rollouts(*(field.to(device) for field in rollouts))
     numbers = [field for field in rollouts if field.is_floating_point()]
-    finite = all(torch.isfinite(field).all() for field in numbers)
+    # A sum is as good a test as all numbers, in a tenth of the time, unless
+    # finite numbers overflow it: what are meters and radians does not.
+    finite = all(torch.isfinite(field.sum()) for field in numbers)
     if self._communicator.any(not finite)[0]:
       raise FloatingPointError(
         'The rollouts hold values that are not finite; the last checkpoint is '

@@ -8,6 +8,7 @@ import torch
 from torch import nn
 
 from dmc_multimode.agents import distributed
+from dmc_multimode.agents.ppo import perceptron
 
 _VARIANCE_FLOOR = 1e-4
 ACTIVATIONS = {'elu': nn.ELU, 'silu': nn.SiLU, 'tanh': nn.Tanh}
@@ -49,7 +50,9 @@ class Normaliser(nn.Module):
     added = observations.shape[0] * communicator.size
     total = self.count + added
     share = float(added / total)
-    variance, mean = torch.var_mean(observations, dim=0, correction=0)
+    # Not by `var_mean`, which takes ten times as long.
+    mean = observations.mean(dim=0)
+    variance = (observations - mean).square().mean(dim=0)
     own_mean = mean.clone()
     communicator.average([mean])
     variance += (own_mean - mean) ** 2
@@ -147,12 +150,16 @@ class ActorCritic(nn.Module):
     return self.policy(self.normaliser(seen))
 
   def mean(self, seen: torch.Tensor) -> torch.Tensor:
-    """Returns the mean actions for normalised [..., D + P], [..., A]."""
-    return self.policy(seen[..., : self.observation_size])
+    """Returns the mean actions for normalised [..., D + P], [..., A].
+
+    Faster than `act` and as exact, but not the same to the bit: the rounding of
+    a row may depend on the others.
+    """
+    return perceptron.apply(self.policy, seen[..., : self.observation_size])
 
   def values(self, seen: torch.Tensor) -> torch.Tensor:
     """Returns the values of normalised [..., D + P], [...]."""
-    return self.value(seen).squeeze(-1)
+    return perceptron.apply(self.value, seen).squeeze(-1)
 
 
 class Sample(NamedTuple):
