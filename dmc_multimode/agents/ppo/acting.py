@@ -1,6 +1,6 @@
 """Actors: the policy as something that selects actions."""
 
-from typing import Any, Callable, Mapping
+from typing import Any, Mapping
 
 import dm_env
 import numpy as np
@@ -39,7 +39,7 @@ class BatchedActor:
       steps: control steps that all worlds of the training have made.
     """
     std = self._network.std.cpu()
-    mean = self._infer(self._explore, observation)
+    mean = self._act(observation)
     noise = torch.empty_like(mean).normal_(generator=self._generator)
     if self._config.quiet_share and steps >= self._config.quiet_start:
       self._change_quiet(len(mean))
@@ -59,21 +59,12 @@ class BatchedActor:
   @torch.no_grad()
   def select_action(self, observation: np.ndarray) -> np.ndarray:
     """Returns the mean actions for observations float32 [B, D], [B, A]."""
-    rows = torch.from_numpy(observation)
-    return self._infer(self._network.act, rows).numpy()
+    return self._act(torch.from_numpy(observation)).numpy()
 
-  def _explore(self, observation: torch.Tensor) -> torch.Tensor:
-    """Returns mean actions as fast as the learner does."""
-    return self._network.mean(self._network.normaliser(observation))
-
-  def _infer(
-    self,
-    function: Callable[[torch.Tensor], torch.Tensor],
-    observation: torch.Tensor,
-  ) -> torch.Tensor:
+  def _act(self, observation: torch.Tensor) -> torch.Tensor:
     """Asks the network, wherever it is."""
     rows = observation.to(self._network.log_std.device)
-    return self._threads.map_rows(function, rows).cpu()
+    return self._threads.map_rows(self._network.act, rows).cpu()
 
   def state(self) -> dict[str, torch.Tensor]:
     """Returns the exploration's generator, and which worlds are quiet."""
