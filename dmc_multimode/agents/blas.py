@@ -17,6 +17,7 @@ from typing import Any, Callable
 import torch
 
 _PACKAGE = 'scipy_openblas32'
+_SHARED = ('.so', '.dylib', '.dll')  # There may be a `.lib` beside them.
 _CPUINFO = pathlib.Path('/proc/cpuinfo')
 _ROW_MAJOR, _AS_IS, _TRANSPOSED = 101, 111, 112  # Of `cblas.h`.
 _INT, _FLOAT, _POINTER = ctypes.c_int, ctypes.c_float, ctypes.c_void_p
@@ -85,10 +86,13 @@ def _lie(matrix: torch.Tensor) -> tuple[int, int] | None:
 @functools.cache
 def _sgemm() -> Callable[..., None] | None:
   """Returns OpenBLAS's product, or None where torch's is as good."""
-  package = importlib.util.find_spec(_PACKAGE)
-  if not _is_amd() or package is None or package.origin is None:
+  if not _is_amd():
     return None
-  [path] = pathlib.Path(package.origin).parent.glob('lib/libscipy_openblas.*')
+  package = importlib.util.find_spec(_PACKAGE)
+  if package is None or package.origin is None:
+    return None
+  files = pathlib.Path(package.origin).parent.glob('lib/libscipy_openblas.*')
+  [path] = [file for file in files if file.suffix in _SHARED]
   # Not by importing the package, which hides scipy's own copy behind this one.
   library = ctypes.CDLL(str(path))
   library.scipy_openblas_set_num_threads(1)

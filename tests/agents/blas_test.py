@@ -1,5 +1,6 @@
 """Tests of dmc_multimode.agents.blas."""
 
+import importlib.util
 import pathlib
 import platform
 
@@ -133,3 +134,21 @@ def test_without_the_library_torch_multiplies(
   monkeypatch.setattr(blas, '_is_amd', lambda: True)
   monkeypatch.setattr(blas, '_PACKAGE', 'there_is_no_such_package')
   assert blas._sgemm.__wrapped__() is None
+
+
+def test_an_import_library_beside_the_other_is_not_loaded(
+  tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  spec = importlib.util.find_spec(blas._PACKAGE)
+  if spec is None or spec.origin is None:
+    pytest.skip('scipy-openblas32 is not installed.')
+  [real] = pathlib.Path(spec.origin).parent.glob('lib/libscipy_openblas.so')
+  package = tmp_path / 'as_on_windows'
+  (package / 'lib').mkdir(parents=True)
+  (package / '__init__.py').touch()
+  (package / 'lib' / 'libscipy_openblas.lib').touch()
+  (package / 'lib' / 'libscipy_openblas.so').symlink_to(real)
+  monkeypatch.syspath_prepend(tmp_path)
+  monkeypatch.setattr(blas, '_PACKAGE', package.name)
+  monkeypatch.setattr(blas, '_is_amd', lambda: True)
+  assert blas._sgemm.__wrapped__() is not None
