@@ -133,8 +133,8 @@ class PPOLearner:
     device = self.network.log_std.device
     rollouts = Rollouts(*(field.to(device) for field in rollouts))
     numbers = [field for field in rollouts if field.is_floating_point()]
-    # A sum is as good a test as all numbers, in a tenth of the time, unless
-    # finite numbers overflow it: what are meters and radians does not.
+    # Sums are as good a test, in a tenth of the time: no world has numbers so
+    # large that finite ones overflow them.
     finite = all(torch.isfinite(field.sum()) for field in numbers)
     if self._communicator.any(not finite)[0]:
       raise FloatingPointError(
