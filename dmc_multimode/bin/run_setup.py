@@ -5,6 +5,7 @@ import json
 import pathlib
 from typing import Any, Mapping
 
+import threadpoolctl
 import torch
 
 from dmc_multimode import atomic
@@ -261,7 +262,9 @@ def build(
       matters.
   """
   # Two threads at once, see `agents.pair`, each with its share of all.
-  torch.set_num_threads(max(config.threads // 2, 1))
+  threads = max(config.threads // 2, 1)
+  torch.set_num_threads(threads)
+  threadpoolctl.threadpool_limits(threads, user_api='blas')  # Of numpy.
   environment = _make_environment(config, motions, codebook, communicator)
   builder = builder_lib.PPOBuilder(
     config.ppo,

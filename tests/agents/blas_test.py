@@ -1,6 +1,5 @@
 """Tests of dmc_multimode.agents.blas."""
 
-import importlib.util
 import pathlib
 import platform
 
@@ -12,6 +11,8 @@ import torch
 
 from dmc_multimode.agents import blas
 from dmc_multimode.agents import pair
+
+_by_either = pytest.mark.usefixtures('library', 'one_thread')
 
 _SIZES = st.integers(0, 40)
 _LAYOUTS = ('rows', 'columns', 'part of rows', 'part of columns', 'neither')
@@ -34,7 +35,7 @@ def _matrix(
   return draw(2 * rows, 2 * columns)[::2, ::2]
 
 
-@pytest.mark.usefixtures('library')
+@_by_either
 @hypothesis.given(
   rows=_SIZES,
   columns=_SIZES,
@@ -62,15 +63,15 @@ def test_products(
   np.testing.assert_allclose(out, expected + bias.numpy(), atol=1e-4)
 
 
-def test_what_was_in_the_output_does_not_matter(library: str) -> None:
-  del library
+@_by_either
+def test_what_was_in_the_output_does_not_matter() -> None:
   out = torch.full((2, 2), torch.nan)
   blas.mm(torch.eye(2), torch.eye(2), out)
   assert torch.equal(out, torch.eye(2))
 
 
-def test_other_memory_is_left_alone(library: str) -> None:
-  del library
+@_by_either
+def test_other_memory_is_left_alone() -> None:
   memory = torch.zeros(4, 5)
   blas.mm(torch.ones(2, 3), torch.ones(3, 3), memory[1:3, 1:4])
   expected = torch.zeros(4, 5)
@@ -78,21 +79,21 @@ def test_other_memory_is_left_alone(library: str) -> None:
   assert torch.equal(memory, expected)
 
 
-def test_shapes_that_do_not_match_are_torchs_to_refuse(library: str) -> None:
-  del library
-  with pytest.raises(RuntimeError, match='cannot be multiplied'):
+@_by_either
+def test_shapes_that_do_not_match_are_refused() -> None:
+  with pytest.raises((RuntimeError, ValueError), match='cannot be|mismatch'):
     blas.mm(torch.ones(2, 3), torch.ones(2, 3), torch.ones(2, 3))
 
 
-def test_double_precision_is_torchs(library: str) -> None:
-  del library
+@_by_either
+def test_double_precision() -> None:
   ones = torch.ones(2, 2, dtype=torch.float64)
   found = blas.mm(ones / 3, ones, torch.empty_like(ones))
   assert torch.equal(found, ones / 3 + ones / 3)
 
 
-def test_two_threads_at_once_get_the_same_bits(library: str) -> None:
-  del library
+@_by_either
+def test_two_threads_at_once_get_the_same_bits() -> None:
   generator = torch.Generator().manual_seed(0)
   a, b = _matrix(generator, 500, 130), _matrix(generator, 130, 250)
   alone = blas.mm(a, b, torch.empty(500, 250))
@@ -125,30 +126,4 @@ def test_processors(
     path.write_text(info)
   monkeypatch.setattr(blas, '_CPUINFO', path)
   monkeypatch.setattr(platform, 'processor', lambda: processor)
-  assert blas._is_amd() == expected
-
-
-def test_without_the_library_torch_multiplies(
-  monkeypatch: pytest.MonkeyPatch,
-) -> None:
-  monkeypatch.setattr(blas, '_is_amd', lambda: True)
-  monkeypatch.setattr(blas, '_PACKAGE', 'there_is_no_such_package')
-  assert blas._sgemm.__wrapped__() is None
-
-
-def test_an_import_library_beside_the_other_is_not_loaded(
-  tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-  spec = importlib.util.find_spec(blas._PACKAGE)
-  if spec is None or spec.origin is None:
-    pytest.skip('scipy-openblas32 is not installed.')
-  [real] = pathlib.Path(spec.origin).parent.glob('lib/libscipy_openblas.so')
-  package = tmp_path / 'as_on_windows'
-  (package / 'lib').mkdir(parents=True)
-  (package / '__init__.py').touch()
-  (package / 'lib' / 'libscipy_openblas.lib').touch()
-  (package / 'lib' / 'libscipy_openblas.so').symlink_to(real)
-  monkeypatch.syspath_prepend(tmp_path)
-  monkeypatch.setattr(blas, '_PACKAGE', package.name)
-  monkeypatch.setattr(blas, '_is_amd', lambda: True)
-  assert blas._sgemm.__wrapped__() is not None
+  assert blas._is_amd.__wrapped__() == expected

@@ -85,6 +85,7 @@ class _Perceptron(torch.autograd.Function):
   def forward(
     ctx: Any, rows: torch.Tensor, *parameters: torch.Tensor
   ) -> torch.Tensor:
+    parameters = tuple(parameter.detach() for parameter in parameters)
     weights, biases = parameters[::2], parameters[1::2]
     count, last = len(rows), len(weights) - 1
     space = ctx.space = _OWN.workspace
