@@ -76,7 +76,7 @@ train: setup
 	  --flagfile=flags/quickstart.flags --run_dir=runs/quickstart $(TRAIN_ARGS)
 
 reproduce: setup
-	$(BIN)/python -m benchmarks.reproduce --out=$(OUT)/reproduction
+	$(BIN)/python -m benchmarks.paper.reproduce --out=$(OUT)/reproduction
 
 # Some are long: each is resumed where it stopped, and done ones end at once.
 retrain: setup
@@ -113,7 +113,7 @@ $(VENV)/docs: setup.cfg | $(VENV)/installed
 	@touch $@
 
 # Draws one frame. A machine that cannot still runs what draws nothing.
-gl = $(BIN)/python -m dmc_multimode.bin.gl >$@
+gl = $(BIN)/python -m dmc_multimode.viewer.gl >$@
 $(VENV)/gl: | $(VENV)/installed
 	@$(gl) 2>/dev/null || \
 	  { { $(call apt,libegl1 libgl1-mesa-dri); }; $(gl) 2>/dev/null; } || \

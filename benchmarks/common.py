@@ -7,9 +7,9 @@ import pathlib
 import platform
 from typing import Any, Mapping, Sequence
 
-from dmc_multimode import atomic
-from dmc_multimode.bin import config_flags
-from dmc_multimode.bin import run_setup
+from dmc_multimode.bin import flags as config_flags
+from dmc_multimode.experiments import setup
+from dmc_multimode.utils import files
 
 CORES = len(os.sched_getaffinity(0))
 _PACKAGES = ('mujoco', 'dm_control', 'torch', 'numpy')
@@ -19,16 +19,16 @@ _PARTS = ('ppo', 'sampling', 'task')
 def define_run_flags() -> None:
   """Defines flags for every field of the parts of a `RunConfig`."""
   for part in _PARTS:
-    config_flags.define(getattr(run_setup.RunConfig(), part), part)
+    config_flags.define(getattr(setup.RunConfig(), part), part)
 
 
-def run_config(**values: Any) -> run_setup.RunConfig:
+def run_config(**values: Any) -> setup.RunConfig:
   """Returns a run's configuration: its parts by their flags, and `values`."""
   parts: dict[str, Any] = {
-    part: config_flags.read(getattr(run_setup.RunConfig(), part), part)
+    part: config_flags.read(getattr(setup.RunConfig(), part), part)
     for part in _PARTS
   }
-  return run_setup.RunConfig(**parts, **values)
+  return setup.RunConfig(**parts, **values)
 
 
 def out_path(value: str | None) -> pathlib.Path | None:
@@ -60,7 +60,7 @@ def write_report(
     'cores': CORES,
   }
   text = json.dumps({**report, **machine}, indent=1) + '\n'
-  atomic.write(out, text.encode())
+  files.write(out, text.encode())
 
 
 def _version(package: str) -> str | None:

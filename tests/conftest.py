@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from dmc_multimode.bin import gl
+from dmc_multimode.viewer import gl
 
 try:
   gl.choose_backend()

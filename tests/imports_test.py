@@ -1,11 +1,14 @@
-"""The arrows between the parts of the package point one way.
+"""The arrows between the rooms of the package point one way.
 
-`modes`, `arenas` <- `suite` <- `planner`; `agents` stands alone; `bin` alone
-puts the parts together.
+utils <- modes, arenas, walkers <- suite <- planner, pretrained <- viewer <-
+evaluation <- experiments <- bin; `agents` sees environments through protocols
+alone. Benchmarks and documents import the library, and of `bin` only `app` and
+`flags`.
 """
 
 import ast
 import pathlib
+import re
 import subprocess
 import sys
 from typing import Iterator
@@ -15,45 +18,41 @@ import pytest
 _PACKAGE = 'dmc_multimode'
 _ROOT = pathlib.Path(__file__).resolve().parent.parent
 
-_BIN_ONLY = {'bin'}
-# Part -> the parts that it may import. A part is the first name below the
-# package; the package's own `__init__` is the part ''.
-_ALLOWED = {
-  '': set[str](),
-  'resources': set[str](),
-  'atomic': set[str](),
-  'typed': set[str](),
-  'pretrained': {
-    'pretrained',
-    'atomic',
-    'modes',
-    'suite',
-    'agents',
-    'resources',
-  },
-  'modes': {'atomic', 'modes', 'typed'},
-  'arenas': {'arenas', 'modes'},
-  'suite': {'suite', 'modes', 'arenas', 'resources', 'typed'},
-  'agents': {'atomic', 'agents'},
-  'planner': {'planner', 'suite', 'modes', 'arenas', 'agents'},
+_TASK = {'utils', 'modes', 'arenas', 'walkers', 'suite'}
+# Room -> the rooms that it may import. A room is the first name below the
+# package; the package's own `__init__`, the facade, is the room ''.
+_ALLOWED: dict[str, set[str]] = {
+  '': set(),
+  'utils': {'utils'},
+  'modes': {'utils', 'modes'},
+  'arenas': {'utils', 'modes', 'arenas'},
+  'walkers': {'utils', 'modes', 'walkers'},
+  'suite': _TASK,
+  'agents': {'utils', 'agents'},
+  'planner': {*_TASK, 'agents', 'planner'},
+  'pretrained': {*_TASK, 'agents', 'pretrained'},
 }
-_ALLOWED['bin'] = {*_ALLOWED, *_BIN_ONLY} - {''}
+_ALLOWED['viewer'] = {*_ALLOWED, 'viewer'} - {''}
+_ALLOWED['evaluation'] = {*_ALLOWED['viewer'], 'evaluation'}
+_ALLOWED['experiments'] = {*_ALLOWED['evaluation'], 'experiments'}
+_ALLOWED['bin'] = {*_ALLOWED['experiments'], 'bin'}
 
-# Module -> the parts that it may import besides, but only inside functions. The
-# suite's reaching tasks have a trained policy in them, and are loaded by name
-# as every task is: so the suite must find policies, which know the suite.
-_LATE = {f'{_PACKAGE}.suite.reaching_env': {'pretrained'}}
+# Module -> the rooms that it may import besides, but only inside functions. The
+# facade is lazy, so that importing it loads nothing heavy. The suite's reaching
+# tasks have a trained policy in them, and are loaded by name as every task is:
+# so the suite must find policies, which know the suite.
+_LATE = {
+  _PACKAGE: _ALLOWED['experiments'],
+  f'{_PACKAGE}.suite.reaching.environment': {'pretrained'},
+}
 
-# Part -> (what it may not import, the modules that may).
-_FOREIGN = {
-  'modes': (
-    {'torch'},
-    {
-      f'{_PACKAGE}.modes.{name}'
-      for name in ('autoencoder', 'encoder', 'extension')
-    },
-  ),
-  'suite': ({'torch'}, set[str]()),
+# Room -> (what it may not import, the sub-rooms and modules that may).
+_FOREIGN: dict[str, tuple[set[str], tuple[str, ...]]] = {
+  'utils': ({'torch'}, ()),
+  'modes': ({'torch'}, (f'{_PACKAGE}.modes.encoder',)),
+  'arenas': ({'torch'}, ()),
+  'walkers': ({'torch'}, ()),
+  'suite': ({'torch'}, (f'{_PACKAGE}.suite.wrappers',)),
 }
 
 
@@ -83,11 +82,11 @@ def _imported(
 def _wrong_arrows(
   module: str, source: str, is_package: bool = False
 ) -> list[str]:
-  """Imports of a module that its part may not have, as lines to read."""
+  """Returns imports that the module's room may not have, as lines to read."""
   part = (module.split('.') + [''])[1]
   if part not in _ALLOWED:
-    return [f'{module}: add the part {part!r} to the table of this test']
-  foreign, exempt = _FOREIGN.get(part, (set[str](), set[str]()))
+    return [f'{module}: add the room {part!r} to the table of this test']
+  foreign, exempt = _FOREIGN.get(part, (set[str](), ()))
   wrong = []
   for name, is_late in _imported(module, source, is_package):
     top, *below = name.split('.')
@@ -98,7 +97,7 @@ def _wrong_arrows(
       # `import dmc_multimode` alone reaches no part.
       is_wrong = bool(below) and below[0] not in allowed
     else:
-      is_wrong = top in foreign and module not in exempt
+      is_wrong = top in foreign and not module.startswith(exempt)
     if is_wrong:
       wrong.append(f'{module} imports {name}')
   return wrong
@@ -136,26 +135,26 @@ _LATE_IMPORT = f'def f():\n  {_EARLY_IMPORT}'
   [
     ('dmc_multimode.modes.library', 'from dmc_multimode.suite import load'),
     ('dmc_multimode.modes.library', 'import dmc_multimode.arenas.track'),
-    ('dmc_multimode.modes.reference', 'import torch'),
     ('dmc_multimode.modes.reference', 'from torch import nn'),
-    ('dmc_multimode.arenas.track', 'from dmc_multimode import suite'),
-    ('dmc_multimode.suite.batched', 'from dmc_multimode import agents'),
-    ('dmc_multimode.suite.batched', 'from .. import planner'),
-    ('dmc_multimode.suite.batched', 'import torch'),
-    ('dmc_multimode.suite.batched', _LATE_IMPORT),
+    ('dmc_multimode.walkers.mini_biped', 'from dmc_multimode import suite'),
+    ('dmc_multimode.suite.rewards', 'from .. import planner'),
+    ('dmc_multimode.suite.rewards', 'import torch'),
     ('dmc_multimode.suite', _LATE_IMPORT),
-    ('dmc_multimode.suite.reaching', _LATE_IMPORT),
-    ('dmc_multimode.suite.reaching_env', _EARLY_IMPORT),
-    ('dmc_multimode.suite.reaching_env', f'class A:\n  {_EARLY_IMPORT}'),
-    ('dmc_multimode.suite.reaching_env', f'if True:\n  {_EARLY_IMPORT}'),
+    ('dmc_multimode.suite.reaching.problem', _LATE_IMPORT),
+    ('dmc_multimode.suite.reaching.environment', _EARLY_IMPORT),
     (
-      'dmc_multimode.suite.reaching_env',
+      'dmc_multimode.suite.reaching.environment',
+      f'if True:\n  {_EARLY_IMPORT}',
+    ),
+    (
+      'dmc_multimode.suite.reaching.environment',
       'def f():\n  from dmc_multimode import agents',
     ),
-    ('dmc_multimode.agents.sampling', 'from dmc_multimode import modes'),
-    ('dmc_multimode.agents.ppo.losses', 'from ...suite import rewards'),
+    ('dmc_multimode.agents.core', 'from dmc_multimode import modes'),
+    ('dmc_multimode.agents.ppo.losses', 'from ...suite import load'),
     ('dmc_multimode.planner.plan', 'def f():\n  from dmc_multimode import bin'),
-    ('dmc_multimode.resources', 'from dmc_multimode.bin import app'),
+    ('dmc_multimode.viewer.video', 'from dmc_multimode import evaluation'),
+    ('dmc_multimode.experiments.setup', 'from dmc_multimode.bin import app'),
     ('dmc_multimode', 'from dmc_multimode import suite'),
     ('dmc_multimode.novelty', 'import os'),
   ],
@@ -167,18 +166,40 @@ def test_a_wrong_arrow_is_seen(module: str, source: str) -> None:
 @pytest.mark.parametrize(
   ('module', 'source'),
   [
-    ('dmc_multimode.modes.encoder', 'import torch'),
+    ('dmc_multimode.modes.encoder.training', 'import torch'),
     ('dmc_multimode.modes.library', 'from . import reference'),
-    ('dmc_multimode.suite.batched', 'from dmc_multimode import resources'),
-    ('dmc_multimode.suite.reaching_env', _LATE_IMPORT),
-    ('dmc_multimode.suite.reaching_env', f'async {_LATE_IMPORT}'),
-    ('dmc_multimode.planner.plan', 'from ..suite import batched'),
-    ('dmc_multimode.agents.sampling', 'import torch\nimport dmc_multimode'),
+    ('dmc_multimode.suite.reaching.environment', _LATE_IMPORT),
+    ('dmc_multimode.suite.reaching.environment', f'async {_LATE_IMPORT}'),
+    ('dmc_multimode.planner.plan', 'from ..suite import load'),
+    ('dmc_multimode.agents.core', 'import torch\nimport dmc_multimode'),
+    ('dmc_multimode', 'def f():\n  from dmc_multimode import experiments'),
     ('dmc_multimode.bin.train', 'from dmc_multimode import agents, planner'),
   ],
 )
 def test_a_right_arrow_passes(module: str, source: str) -> None:
   assert not _wrong_arrows(module, source)
+
+
+# Commands that people type may stand anywhere.
+_COMMAND = re.compile(r'(python3? -m |/python -m |-m )dmc_multimode\.bin\.\w+')
+_BIN = re.compile(
+  r'(from dmc_multimode\.bin import (?!app\b|flags\b)\w+'
+  r'|import dmc_multimode\.bin)'
+)
+
+
+def test_only_commands_know_the_commands() -> None:
+  wrong = []
+  for folder in ('benchmarks', 'docs', 'examples', *_rooms_below_bin()):
+    for path in sorted((_ROOT / folder).rglob('*')):
+      if path.suffix in ('.py', '.md', '.ipynb'):
+        text = _COMMAND.sub('', path.read_text(encoding='utf-8'))
+        wrong += [f'{path}: {found[0]}' for found in _BIN.finditer(text)]
+  assert not wrong, '\n'.join(wrong)
+
+
+def _rooms_below_bin() -> list[str]:
+  return [f'{_PACKAGE}/{room}' for room in _ALLOWED if room not in ('', 'bin')]
 
 
 def test_the_suite_loads_without_torch() -> None:

@@ -116,7 +116,7 @@ def test_resources_of_an_unpacked_wheel(
   with zipfile.ZipFile(wheel) as archive:
     archive.extractall(site)
   code = (
-    'from dmc_multimode import resources as r; '
+    'from dmc_multimode.utils import resources as r; '
     "print(r.path('xml', 'mini_biped.xml'), *r.names('flags'))"
   )
   result = subprocess.run(

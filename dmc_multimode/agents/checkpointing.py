@@ -11,8 +11,8 @@ import safetensors
 from safetensors import torch as safetensors_torch
 import torch
 
-from dmc_multimode import atomic
 from dmc_multimode.agents import distributed
+from dmc_multimode.utils import files
 
 _FORMAT = 'dmc_multimode.checkpoint.1'
 _MAX_BYTES = 4 << 30  # Larger files are none of ours.
@@ -35,7 +35,7 @@ def save_tensors(
   }
   text = json.dumps(dict(metadata))
   strings = {'json': text, 'crc32': str(_checksum(converted, text))}
-  atomic.write(path, safetensors_torch.save(converted, metadata=strings))
+  files.write(path, safetensors_torch.save(converted, metadata=strings))
 
 
 def _checksum(tensors: Mapping[str, torch.Tensor], text: str) -> int:

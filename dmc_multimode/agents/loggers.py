@@ -12,7 +12,7 @@ from typing import Any, Iterator, Mapping, Protocol, Sequence
 
 import tqdm
 
-from dmc_multimode import atomic
+from dmc_multimode.utils import files
 
 Values = Mapping[str, float]
 _MAX_CHARACTERS = 1 << 30  # Of a CSV file; a longer one is none of ours.
@@ -60,7 +60,7 @@ class CSVLogger:
       writer = csv.DictWriter(text, self._fields)
       writer.writeheader()
       writer.writerows(rows)
-    atomic.write(path, text.getvalue().encode())
+    files.write(path, text.getvalue().encode())
     self._file = open(path, 'a', newline='', encoding='utf-8')
 
   def write(self, values: Values) -> None:
@@ -200,7 +200,7 @@ class WandbLogger:
 
     path = directory / self._ID_FILE
     if not path.exists():
-      atomic.write(path, secrets.token_hex(8).encode())
+      files.write(path, secrets.token_hex(8).encode())
     self._run = wandb.init(
       project=project,
       id=path.read_text(encoding='utf-8'),

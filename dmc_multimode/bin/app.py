@@ -31,7 +31,7 @@ from typing import Callable, NoReturn, Sequence
 from absl import app as absl_app
 from absl import logging
 
-from dmc_multimode import resources
+from dmc_multimode.utils import resources
 
 Main = Callable[[Sequence[str]], int | None]
 

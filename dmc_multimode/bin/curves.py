@@ -14,9 +14,9 @@ from typing import Sequence
 from absl import flags
 
 from dmc_multimode.bin import app
-from dmc_multimode.bin import figures
-from dmc_multimode.bin import outputs
-from dmc_multimode.bin import training_figures
+from dmc_multimode.evaluation import figures
+from dmc_multimode.evaluation import training_figures
+from dmc_multimode.utils import outputs
 
 _RUN = flags.DEFINE_multi_string(
   'run', [], 'LABEL=FOLDER of a run, or of its metrics.csv; many times.'

@@ -15,13 +15,13 @@ from typing import Any, Sequence
 
 from absl import flags
 
-from dmc_multimode import atomic
 from dmc_multimode.agents import distributed
 from dmc_multimode.bin import app
-from dmc_multimode.bin import config_flags
-from dmc_multimode.bin import gl
-from dmc_multimode.bin import outputs
-from dmc_multimode.bin import ranks
+from dmc_multimode.bin import flags as config_flags
+from dmc_multimode.experiments import ranks
+from dmc_multimode.utils import files
+from dmc_multimode.utils import outputs
+from dmc_multimode.viewer import gl
 
 _POLICY = flags.DEFINE_string(
   'policy', None, 'Name of a shipped policy, or a folder.', required=True
@@ -75,8 +75,8 @@ def _evaluate(no_videos: str, communicator: distributed.Communicator) -> None:
   """Evaluates; rank 0 reports."""
   # These import dm_control, which reads what draws.
   from dmc_multimode import pretrained
-  from dmc_multimode.bin import scoring
-  from dmc_multimode.suite import config as config_lib
+  from dmc_multimode.evaluation import evaluator as scoring
+  from dmc_multimode.suite.imitation import config as task_config
 
   if _EPISODES.value < 1:
     raise ValueError(f'--episodes must be positive, got {_EPISODES.value}.')
@@ -86,7 +86,7 @@ def _evaluate(no_videos: str, communicator: distributed.Communicator) -> None:
   folder = outputs.folder('figures', _FIGURES.value)
   policy = pretrained.load(_POLICY.value)
   encoder_seed = _encoder_seed(_POLICY.value)
-  config = config_lib.for_evaluation(policy.config)
+  config = task_config.for_evaluation(policy.config)
   if _TIMESTEP.value is not None:
     config = config_flags.replace(config, physics_timestep=_TIMESTEP.value)
   evaluator = scoring.Evaluator(
@@ -105,14 +105,14 @@ def _evaluate(no_videos: str, communicator: distributed.Communicator) -> None:
 
 def _encoder_seed(name: str) -> int | None:
   """Returns the seed of the encoder beside a policy, None if there is none."""
-  from dmc_multimode.bin import fine_tuning
-  from dmc_multimode.modes import encoder
+  from dmc_multimode.experiments import fine_tuning
+  from dmc_multimode.modes.encoder import training as encoder_training
 
   try:
     folder = fine_tuning.find_encoder(name)
   except ValueError:
     return None
-  return encoder.load(folder).config.seed
+  return encoder_training.load(folder).config.seed
 
 
 def _report(
@@ -124,15 +124,15 @@ def _report(
   no_videos: str,
 ) -> None:
   """Prints, writes and draws what there is to be told."""
-  from dmc_multimode.bin import figures
-  from dmc_multimode.bin import reporting
+  from dmc_multimode.evaluation import figures
+  from dmc_multimode.evaluation import report
 
-  reporting.show(values)
+  report.show(values)
   if out:
     out.parent.mkdir(parents=True, exist_ok=True)
-    atomic.write(out, json.dumps(values, indent=1).encode())
+    files.write(out, json.dumps(values, indent=1).encode())
     print(f'The report is in {out}')
-  drawn = reporting.draw(evaluator, values) if folder or page else {}
+  drawn = report.draw(evaluator, values) if folder or page else {}
   if folder:
     for name, figure in drawn.items():
       figures.save(folder / name, figure)
@@ -142,11 +142,11 @@ def _report(
     if no_videos:
       print(f'No videos: {no_videos}')
     else:
-      videos = reporting.film(
+      videos = report.film(
         evaluator.policy, evaluator.config, _SEED.value, _CLOCK_RATE.value
       )
     title = f'Evaluation of {_POLICY.value}'
-    reporting.write_page(page, title, values, drawn, videos, no_videos)
+    report.write_page(page, title, values, drawn, videos, no_videos)
     print(f'The page is {page}')
 
 

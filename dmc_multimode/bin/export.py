@@ -20,11 +20,11 @@ import numpy as np
 import torch
 from torch import nn
 
-from dmc_multimode import atomic
 from dmc_multimode import pretrained
 from dmc_multimode.bin import app
-from dmc_multimode.bin import outputs
-from dmc_multimode.suite import observations
+from dmc_multimode.suite.imitation import observations
+from dmc_multimode.utils import files
+from dmc_multimode.utils import outputs
 
 _POLICY = flags.DEFINE_string(
   'policy', 'pi2', 'Name of a shipped policy, or folder of a policy or a run.'
@@ -147,7 +147,7 @@ def main(argv: Sequence[str]) -> None:
   if not apart <= _TOLERANCE:
     raise ValueError(f'The model and torch act apart, by {apart:.2e} rad.')
   out.parent.mkdir(parents=True, exist_ok=True)
-  atomic.write(out, model)
+  files.write(out, model)
   print(f'wrote {out} ({len(model)} bytes)')
 
 

@@ -19,22 +19,22 @@ import numpy as np
 import torch
 import tqdm
 
-from dmc_multimode import atomic
 from dmc_multimode import pretrained
 from dmc_multimode.arenas import layouts
 from dmc_multimode.arenas import track
 from dmc_multimode.bin import app
-from dmc_multimode.bin import config_flags
-from dmc_multimode.bin import figures
-from dmc_multimode.bin import outputs
-from dmc_multimode.bin import plan_figures
+from dmc_multimode.bin import flags as config_flags
+from dmc_multimode.evaluation import figures
+from dmc_multimode.evaluation import plan_figures
+from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import plan as plan_lib
-from dmc_multimode.planner import planning
 from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.planner import q_learning
 from dmc_multimode.planner import replanning
-from dmc_multimode.planner import search
-from dmc_multimode.suite import reaching
+from dmc_multimode.planner import solver as planning
+from dmc_multimode.suite.reaching import problem as reaching
+from dmc_multimode.utils import files
+from dmc_multimode.utils import outputs
 
 _POLICY = flags.DEFINE_string(
   'policy', 'pi2', 'Name of a shipped policy, or a folder.'
@@ -67,7 +67,7 @@ _OUT = flags.DEFINE_string('out', None, 'JSON file to write the plan to.')
 _FIGURE = flags.DEFINE_string('figure', None, 'PNG file to draw the plan to.')
 
 _PLANNERS: dict[str, planning.PlannerConfig] = {
-  'beam': search.BeamConfig(),
+  'beam': beam_search.BeamConfig(),
   'q_learning': q_learning.QLearningConfig(),
 }
 for _name, _config in _PLANNERS.items():
@@ -156,7 +156,7 @@ def _solve(
   """Plans under a progress bar, which begins anew with every search."""
   planner = config_flags.read(_PLANNERS[_PLANNER.value], _PLANNER.value)
   solver = planning.Solver(policy, make_arena, config, planner, _THREADS.value)
-  is_beam = isinstance(planner, search.BeamConfig)
+  is_beam = isinstance(planner, beam_search.BeamConfig)
   bar = tqdm.tqdm(unit='knot' if is_beam else 'episode')
 
   def report(status: planning.Status) -> None:
@@ -200,7 +200,7 @@ def main(argv: Sequence[str]) -> int:
   if out:
     out.parent.mkdir(parents=True, exist_ok=True)
     values = describe(found, config, sizes, pushes)
-    atomic.write(out, json.dumps(values, indent=1).encode())
+    files.write(out, json.dumps(values, indent=1).encode())
     print(f'The plan is in {out}')
   if figure:
     step = policy.config.control_timestep

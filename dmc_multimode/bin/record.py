@@ -17,10 +17,10 @@ from typing import Any, Sequence
 from absl import flags
 
 from dmc_multimode.bin import app
-from dmc_multimode.bin import gl
-from dmc_multimode.bin import video
 from dmc_multimode.modes import schedule
 from dmc_multimode.planner import plan as plan_lib
+from dmc_multimode.viewer import gl
+from dmc_multimode.viewer import video
 
 _POLICY = flags.DEFINE_string(
   'policy', None, 'Name of a shipped policy, or folder of a policy or a run.'
@@ -64,8 +64,8 @@ def main(argv: Sequence[str]) -> None:
   gl.choose_backend()
   # These import dm_control, which reads the choice.
   from dmc_multimode import pretrained
-  from dmc_multimode.bin import recording
-  from dmc_multimode.bin import rollout
+  from dmc_multimode.viewer import recording
+  from dmc_multimode.viewer import rollout
 
   recording.record(
     pretrained.load(policy),

@@ -29,22 +29,22 @@ import torch
 from dmc_multimode.agents import checkpointing
 from dmc_multimode.agents import distributed
 from dmc_multimode.agents import loggers
-from dmc_multimode.agents import training
+from dmc_multimode.agents import runner
 from dmc_multimode.bin import app
-from dmc_multimode.bin import config_flags
-from dmc_multimode.bin import fine_tuning
-from dmc_multimode.bin import launches
-from dmc_multimode.bin import ranks
-from dmc_multimode.bin import run_setup
+from dmc_multimode.bin import flags as config_flags
+from dmc_multimode.experiments import fine_tuning
+from dmc_multimode.experiments import launch
+from dmc_multimode.experiments import ranks
+from dmc_multimode.experiments import setup
 from dmc_multimode.modes import codebook as codebook_lib
-from dmc_multimode.modes import encoder as encoder_lib
-from dmc_multimode.modes import files
+from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
 from dmc_multimode.modes import reference
+from dmc_multimode.modes.encoder import training as encoder_training
 from dmc_multimode.pretrained import policy as policy_lib
-from dmc_multimode.suite import mirror
+from dmc_multimode.suite.imitation import symmetry as task_symmetry
 
-_DEFAULTS = run_setup.RunConfig()
+_DEFAULTS = setup.RunConfig()
 _RUN_DIR = flags.DEFINE_string(
   'run_dir', None, 'Where the run lives.', required=True
 )
@@ -90,7 +90,7 @@ _ONE_HOT = flags.DEFINE_bool(
 _WANDB_PROJECT = flags.DEFINE_string(
   'wandb_project', None, 'Also log to this project of Weights and Biases.'
 )
-_LENGTH = training.TrainingConfig()
+_LENGTH = runner.TrainingConfig()
 _STEPS = flags.DEFINE_integer('steps', _LENGTH.steps, 'Control steps in all.')
 _MINUTES = flags.DEFINE_float(
   'minutes', _LENGTH.minutes, 'Stop after this time, with a checkpoint.'
@@ -108,7 +108,7 @@ for _part in _PARTS:
   config_flags.define(getattr(_DEFAULTS, _part), _part)
 
 
-def _with_flags(config: run_setup.RunConfig) -> run_setup.RunConfig:
+def _with_flags(config: setup.RunConfig) -> setup.RunConfig:
   """Returns a configuration with what the flags that were given say."""
   given: dict[str, Any] = {
     part: config_flags.read(getattr(config, part), part) for part in _PARTS
@@ -121,9 +121,9 @@ def _with_flags(config: run_setup.RunConfig) -> run_setup.RunConfig:
 
 def _configure(
   start: fine_tuning.Start | None,
-) -> tuple[run_setup.RunConfig, tuple[reference.ReferenceMotion, ...]]:
+) -> tuple[setup.RunConfig, tuple[reference.ReferenceMotion, ...]]:
   """Returns configuration and modes of a new run, as the flags say."""
-  extra = files.load(_MODE_FILE.value) if _MODE_FILE.value else ()
+  extra = mode_files.load(_MODE_FILE.value) if _MODE_FILE.value else ()
   defaults = _DEFAULTS
   if start:
     spec = _MODES.value if flags.FLAGS['modes'].present else None
@@ -136,21 +136,21 @@ def _configure(
   return config, library.resolve(config.modes, extra)
 
 
-def _begin(directory: pathlib.Path, size: int) -> run_setup.Ingredients:
+def _begin(directory: pathlib.Path, size: int) -> setup.Ingredients:
   """Checks everything, then makes the folder and the encoder of a new run."""
   start = None
   if _INIT_FROM.value:
     start = fine_tuning.load(_INIT_FROM.value, _ENCODER.value)
   config, motions = _configure(start)
-  run_setup.check_ranks(config, size)
+  setup.check_ranks(config, size)
   codebook = codebook_lib.one_hot(motions)
   if config.ppo.symmetry != 'none':
-    mirror.mirror_image(motions, codebook)  # Raises where there is none.
+    task_symmetry.mirror_image(motions, codebook)  # Raises where there is none.
   encoder = None
   if _ENCODER.value and not start and not config.one_hot:
-    encoder = encoder_lib.load(_ENCODER.value)
+    encoder = encoder_training.load(_ENCODER.value)
     encoder.codebook().subset(codebook.names)
-  if (directory / run_setup.CONFIG_FILE).exists() or checkpointing.Checkpointer(
+  if (directory / setup.CONFIG_FILE).exists() or checkpointing.Checkpointer(
     directory
   ).exists():
     raise ValueError(
@@ -161,44 +161,44 @@ def _begin(directory: pathlib.Path, size: int) -> run_setup.Ingredients:
     encoder, codebook = start.encode(motions)
   directory.mkdir(parents=True, exist_ok=True)
   if start:
-    start.policy.save(directory / run_setup.INITIAL)
+    start.policy.save(directory / setup.INITIAL)
   elif not config.one_hot:
     encoder = encoder or _train_encoder(motions, config.seed)
     codebook = encoder.codebook().subset(codebook.names)
   if encoder:
-    encoder.save(directory / run_setup.ENCODER)
+    encoder.save(directory / setup.ENCODER)
   return config, motions, codebook
 
 
 def _train_encoder(
   motions: tuple[reference.ReferenceMotion, ...], seed: int
-) -> encoder_lib.ModeEncoder:
+) -> encoder_training.ModeEncoder:
   print('Training the mode encoder.', flush=True)
-  contacts = encoder_lib.needs_contacts(motions)
-  return encoder_lib.train(
-    motions, encoder_lib.EncoderConfig(use_contacts=contacts, seed=seed)
+  contacts = encoder_training.needs_contacts(motions)
+  return encoder_training.train(
+    motions, encoder_training.EncoderConfig(use_contacts=contacts, seed=seed)
   )
 
 
-def _continue(directory: pathlib.Path, size: int) -> run_setup.Ingredients:
+def _continue(directory: pathlib.Path, size: int) -> setup.Ingredients:
   """Reads a run back; flags that contradict it are an error."""
-  config, motions, codebook = run_setup.load_run(directory)
-  stored = run_setup.to_dict(config)
-  wanted = run_setup.to_dict(_with_flags(config))
+  config, motions, codebook = setup.load_run(directory)
+  stored = setup.to_dict(config)
+  wanted = setup.to_dict(_with_flags(config))
   for name, value in wanted.items():
     if value != stored[name]:
       raise ValueError(
         f'The run in {directory} has another {name} than these flags say: '
         'leave them out to resume it, or name another folder.'
       )
-  run_setup.check_ranks(config, size)
+  setup.check_ranks(config, size)
   return config, motions, codebook
 
 
 class _Opened(NamedTuple):
   """A run that begins or goes on; rank 0 alone knows all of it."""
 
-  ingredients: run_setup.Ingredients
+  ingredients: setup.Ingredients
   has_checkpoint: bool
   is_new: bool = False
   initial: policy_lib.Policy | None = None
@@ -215,10 +215,10 @@ def _open(
   def at_first() -> str:
     if _WANDB_PROJECT.value:
       loggers.check_wandb()
-    is_new = not (_RESUME.value or launches.is_restart(directory))
+    is_new = not (_RESUME.value or launch.is_restart(directory))
     prepare = _begin if is_new else _continue
     ingredients = prepare(directory, communicator.size)
-    initial = run_setup.load_initial(directory, ingredients[0])
+    initial = setup.load_initial(directory, ingredients[0])
     tensors: Mapping[str, torch.Tensor] = {}
     values: Mapping[str, Any] = {}
     checkpointer = checkpointing.Checkpointer(directory)
@@ -228,14 +228,14 @@ def _open(
     opened.append(
       _Opened(ingredients, bool(values), is_new, initial, tensors, values)
     )
-    return json.dumps([bool(values), run_setup.describe(*ingredients)])
+    return json.dumps([bool(values), setup.describe(*ingredients)])
 
   has_checkpoint, text = json.loads(
     distributed.from_first(communicator, at_first)
   )
   if opened:
     return opened[0]
-  return _Opened(run_setup.parse(text), has_checkpoint)
+  return _Opened(setup.parse(text), has_checkpoint)
 
 
 class _Stop:
@@ -256,9 +256,7 @@ class _Stop:
     return self.asked
 
 
-def _make_logger(
-  directory: pathlib.Path, run: run_setup.Run
-) -> loggers.Dispatcher:
+def _make_logger(directory: pathlib.Path, run: setup.Run) -> loggers.Dispatcher:
   steps = run.loop.steps
   parts: list[loggers.Logger] = [
     loggers.ProgressLogger(_STEPS.value, steps),
@@ -268,7 +266,7 @@ def _make_logger(
   if _WANDB_PROJECT.value:
     parts.append(
       loggers.WandbLogger(
-        directory, _WANDB_PROJECT.value, run_setup.to_dict(run.config)
+        directory, _WANDB_PROJECT.value, setup.to_dict(run.config)
       )
     )
   return loggers.Dispatcher(parts)
@@ -278,15 +276,13 @@ def _build(
   directory: pathlib.Path,
   device: torch.device,
   communicator: distributed.Communicator,
-) -> run_setup.Run:
+) -> setup.Run:
   """Builds this rank's part of a new run, or of one that goes on."""
   opened = _open(directory, communicator)
-  run = run_setup.build(
-    *opened.ingredients, communicator, device, opened.initial
-  )
+  run = setup.build(*opened.ingredients, communicator, device, opened.initial)
   if opened.is_new:
-    launches.note(directory)
-    run_setup.save_run(directory, *opened.ingredients)
+    launch.note(directory)
+    setup.save_run(directory, *opened.ingredients)
   if opened.has_checkpoint:
     run.loop.restore(opened.tensors, opened.values)
   return run
@@ -296,7 +292,7 @@ def _train(
   device: torch.device, communicator: distributed.Communicator
 ) -> None:
   """Trains or resumes; rank 0 alone writes and prints."""
-  length = training.TrainingConfig(
+  length = runner.TrainingConfig(
     _STEPS.value, _MINUTES.value, keep_every=_KEEP_EVERY.value
   )
   if not _RUN_DIR.value:

@@ -16,12 +16,12 @@ import numpy as np
 import tqdm
 
 from dmc_multimode.bin import app
-from dmc_multimode.bin import figures
-from dmc_multimode.modes import autoencoder
-from dmc_multimode.modes import encoder
-from dmc_multimode.modes import files
+from dmc_multimode.evaluation import figures
+from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
 from dmc_multimode.modes import reference
+from dmc_multimode.modes.encoder import network
+from dmc_multimode.modes.encoder import training as encoder_training
 
 _FIGURE_FILE = 'encoding.png'
 _AXES = 'xyz'
@@ -41,8 +41,8 @@ def main(argv: Sequence[str]) -> None:
   del argv
   motions = _motions(_MODES.value, _MODE_FILE.value)
   reference.ReferenceBank(motions)  # Refuses duplicates before a bar shows.
-  config = encoder.EncoderConfig(
-    use_contacts=encoder.needs_contacts(motions), seed=_SEED.value
+  config = encoder_training.EncoderConfig(
+    use_contacts=encoder_training.needs_contacts(motions), seed=_SEED.value
   )
   out = _writable(_OUT.value)
   trained = _train(motions, config)
@@ -50,11 +50,15 @@ def main(argv: Sequence[str]) -> None:
   figure = draw(trained)
   trained.save(out)
   figures.save(out / _FIGURE_FILE, figure)
-  for name in (encoder.WEIGHTS_FILE, encoder.CONFIG_FILE, _FIGURE_FILE):
+  for name in (
+    encoder_training.WEIGHTS_FILE,
+    encoder_training.CONFIG_FILE,
+    _FIGURE_FILE,
+  ):
     print(f'wrote {out / name}')
 
 
-def tables(trained: encoder.ModeEncoder) -> str:
+def tables(trained: encoder_training.ModeEncoder) -> str:
   """Returns the RMSE per mode and the distances between latents as text."""
   names = list(trained.rmse())
   width = max(len(name) for name in names)
@@ -74,7 +78,7 @@ def tables(trained: encoder.ModeEncoder) -> str:
   return '\n'.join(lines)
 
 
-def draw(trained: encoder.ModeEncoder) -> matplotlib.figure.Figure:
+def draw(trained: encoder_training.ModeEncoder) -> matplotlib.figure.Figure:
   """Draws the paper's encoding figure, a column a mode.
 
   Base positions over time of the references on top, of the reconstructions in
@@ -88,7 +92,7 @@ def draw(trained: encoder.ModeEncoder) -> matplotlib.figure.Figure:
     other.sharey(axes[2, 0])
   reconstructed = trained.reconstruct(motions)
   for column, motion in enumerate(motions):
-    wanted = autoencoder.features(motion, trained.config.use_contacts)
+    wanted = network.features(motion, trained.config.use_contacts)
     times = np.linspace(0.0, motion.duration, len(wanted))
     for row, path in enumerate((wanted, reconstructed[column])):
       for axis, colour in zip(range(3), ('C0', 'C1', 'C2'), strict=True):
@@ -113,7 +117,7 @@ def _motions(
   spec: str, mode_file: str | None
 ) -> tuple[reference.ReferenceMotion, ...]:
   """Returns the modes of `spec`, and those of a user's file behind them."""
-  extra = files.load(mode_file) if mode_file else ()
+  extra = mode_files.load(mode_file) if mode_file else ()
   motions = library.resolve(spec, extra)
   named = {motion.name for motion in motions}
   return motions + tuple(m for m in extra if m.name not in named)
@@ -130,12 +134,13 @@ def _writable(out: str | None) -> pathlib.Path:
 
 
 def _train(
-  motions: Sequence[reference.ReferenceMotion], config: encoder.EncoderConfig
-) -> encoder.ModeEncoder:
+  motions: Sequence[reference.ReferenceMotion],
+  config: encoder_training.EncoderConfig,
+) -> encoder_training.ModeEncoder:
   """Trains under a progress bar."""
   with tqdm.tqdm(desc='encoder', unit='epoch') as bar:
 
-    def show(progress: encoder.Progress) -> None:
+    def show(progress: encoder_training.Progress) -> None:
       bar.update()
       bar.set_postfix_str(
         f'worst RMSE {100 * progress.worst_rmse:.1f} cm, '
@@ -143,7 +148,7 @@ def _train(
         refresh=False,
       )
 
-    return encoder.train(motions, config, show)
+    return encoder_training.train(motions, config, show)
 
 
 def cli() -> None:

@@ -20,7 +20,7 @@ from absl import flags
 
 from dmc_multimode.arenas import layouts
 from dmc_multimode.bin import app
-from dmc_multimode.bin import gl
+from dmc_multimode.viewer import gl
 
 _CATCH_UP = 0.1  # Seconds that are made up for; more is lost.
 
@@ -53,7 +53,7 @@ def main(argv: Sequence[str]) -> None:
   import torch
 
   from dmc_multimode import pretrained
-  from dmc_multimode.bin import live
+  from dmc_multimode.viewer import session as live
 
   torch.set_num_threads(1)  # Batches are small, and a search has a thread.
   session = live.LiveSession(
@@ -64,9 +64,9 @@ def main(argv: Sequence[str]) -> None:
   )
   with contextlib.closing(session), contextlib.suppress(KeyboardInterrupt):
     if _VIEWER.value == 'native':
-      from dmc_multimode.bin import view_native
+      from dmc_multimode.viewer import native
 
-      view_native.run(session)
+      native.run(session)
     else:
       _serve(session)
 
@@ -109,7 +109,7 @@ def _serve(session: Any) -> None:
   try:
     import viser
 
-    from dmc_multimode.bin import view_page
+    from dmc_multimode.viewer import web_page
   except ModuleNotFoundError as error:
     raise ModuleNotFoundError(
       f'{error}; the page takes the extra `view`: pip install '
@@ -119,7 +119,7 @@ def _serve(session: Any) -> None:
   with silence:
     server = viser.ViserServer(_HOST.value, _PORT.value, verbose=False)
   try:
-    page = view_page.Page(server, session)
+    page = web_page.Page(server, session)
     print(f'http://{_HOST.value}:{server.get_port()}', flush=True)
     _run(session, page)
   finally:

@@ -7,8 +7,8 @@ from typing import Sequence
 
 import numpy as np
 
-from dmc_multimode import atomic
 from dmc_multimode.modes import reference
+from dmc_multimode.utils import files
 
 FILE = 'codebook.json'
 _MAX_BYTES = 1 << 20  # Larger files are none of ours.
@@ -80,7 +80,7 @@ class Codebook:
 
   def save(self, directory: pathlib.Path) -> None:
     """Writes `codebook.json` into a folder, whole or not at all."""
-    atomic.write(directory / FILE, self.to_json().encode())
+    files.write(directory / FILE, self.to_json().encode())
 
   def separation(self) -> float:
     """Returns the smallest over the mean distance between two modes.

@@ -15,10 +15,10 @@ from dmc_multimode.arenas import track as track_lib
 from dmc_multimode.modes import reference
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.planner import pushes as pushes_lib
-from dmc_multimode.suite import batched
-from dmc_multimode.suite import episodes
 from dmc_multimode.suite import multimode_biped
-from dmc_multimode.suite import reaching
+from dmc_multimode.suite.imitation import batched_env
+from dmc_multimode.suite.imitation import episodes
+from dmc_multimode.suite.reaching import problem as reaching
 
 _BLOCK = 16  # Observations that the policy sees at once are a multiple.
 
@@ -117,7 +117,7 @@ class ReachingProblem:
     self.policy, self.config = policy, config
     self.bank = reference.ReferenceBank(policy.motions)
     self.num_worlds, self.num_modes = num_worlds, len(self.bank)
-    self._worlds = batched.BatchedImitation(
+    self._worlds = batched_env.BatchedImitation(
       multimode_biped.make_task(
         policy.motions,
         policy.codebook,

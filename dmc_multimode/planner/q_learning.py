@@ -10,8 +10,8 @@ from typing import Callable
 
 import numpy as np
 
+from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import problem as problem_lib
-from dmc_multimode.planner import search
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,7 +129,7 @@ def q_learning(
   problem: problem_lib.ReachingProblem,
   config: QLearningConfig,
   report: Callable[[int, float, float], None] = lambda *args: None,
-) -> search.Solution:
+) -> beam_search.Solution:
   """Learns plans; returns those of all episodes, the best first.
 
   Args:
@@ -167,7 +167,7 @@ def q_learning(
     nearest = min(nearest, ahead[progress.alive].min(initial=np.inf))
     report(episode + 1, float(returns[: episode + 1].max()), float(nearest))
   order = np.lexsort((-returns.ravel(), ~success.ravel()))
-  return search.Solution(
+  return beam_search.Solution(
     plans.reshape(-1, knots)[order],
     returns.ravel()[order],
     success.ravel()[order],

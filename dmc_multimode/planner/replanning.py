@@ -11,9 +11,9 @@ from typing import Sequence
 import numpy as np
 
 from dmc_multimode.planner import plan as plan_lib
-from dmc_multimode.planner import planning
 from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.planner import pushes as pushes_lib
+from dmc_multimode.planner import solver as planning
 
 
 def solve(

@@ -20,16 +20,16 @@ import mujoco
 import numpy as np
 import torch
 
-from dmc_multimode import atomic
-from dmc_multimode import resources
 from dmc_multimode.agents import checkpointing
 from dmc_multimode.agents.ppo import acting
 from dmc_multimode.agents.ppo import networks
 from dmc_multimode.modes import codebook as codebook_lib
-from dmc_multimode.modes import files
+from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import reference
-from dmc_multimode.suite import config as config_lib
-from dmc_multimode.suite import observations
+from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.suite.imitation import observations
+from dmc_multimode.utils import files
+from dmc_multimode.utils import resources
 
 WEIGHTS_FILE = 'policy.safetensors'
 DESCRIPTION_FILE = 'policy.json'
@@ -60,7 +60,7 @@ class Policy:
   hidden_sizes: tuple[int, ...]
   motions: tuple[reference.ReferenceMotion, ...]
   codebook: codebook_lib.Codebook
-  config: config_lib.ImitationConfig
+  config: task_config.ImitationConfig
   provenance: Mapping[str, Any]
   metrics: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
@@ -82,9 +82,9 @@ class Policy:
       'hidden_sizes': list(self.hidden_sizes),
       'activation': self.network.activation,
       'privileged_size': self.network.privileged_size,
-      'modes': [files.motion_to_dict(motion) for motion in self.motions],
+      'modes': [mode_files.motion_to_dict(motion) for motion in self.motions],
       'latents': self.codebook.latents.tolist(),
-      'task': config_lib.to_dict(self.config),
+      'task': task_config.to_dict(self.config),
       'provenance': {
         'mujoco': mujoco.__version__,
         'torch': torch.__version__,
@@ -94,7 +94,7 @@ class Policy:
     checkpointing.save_tensors(
       directory / WEIGHTS_FILE, self.network.state_dict(), {'format': _FORMAT}
     )
-    atomic.write(
+    files.write(
       directory / DESCRIPTION_FILE, json.dumps(description, indent=1).encode()
     )
 
@@ -174,7 +174,7 @@ def _untrained(description: dict[str, Any]) -> Policy:
     or not all(0 < h <= _MAX_UNITS for h in hidden)
   ):
     raise ValueError(f'hidden sizes {hidden} are out of bounds.')
-  motions = tuple(files.motion_from_dict(m) for m in description['modes'])
+  motions = tuple(mode_files.motion_from_dict(m) for m in description['modes'])
   codebook = codebook_lib.Codebook(
     tuple(motion.name for motion in motions),
     np.array(description['latents'], dtype=np.float32),
@@ -199,7 +199,7 @@ def _untrained(description: dict[str, Any]) -> Policy:
     hidden,
     motions,
     codebook,
-    config_lib.from_dict(description['task']),
+    task_config.from_dict(description['task']),
     dict(description.get('provenance', {})),
   )
 

@@ -16,20 +16,20 @@ from dm_control.utils import containers
 import dm_env
 import numpy as np
 
-from dmc_multimode import resources
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track
 from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import library
 from dmc_multimode.modes import reference
 from dmc_multimode.modes import schedule as schedule_lib
-from dmc_multimode.suite import config as config_lib
-from dmc_multimode.suite import episodes as episodes_lib
-from dmc_multimode.suite import imitation
-from dmc_multimode.suite import mini_biped
-from dmc_multimode.suite import reaching
-from dmc_multimode.suite import reaching_env
-from dmc_multimode.suite import rewards
+from dmc_multimode.suite.imitation import composer_task
+from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.suite.imitation import episodes as episodes_lib
+from dmc_multimode.suite.imitation import rewards
+from dmc_multimode.suite.reaching import environment as reaching_env
+from dmc_multimode.suite.reaching import problem as reaching
+from dmc_multimode.utils import resources
+from dmc_multimode.walkers import mini_biped
 
 SUITE = containers.TaggedTasks()
 
@@ -55,8 +55,8 @@ def make_task(
   codebook: codebook_lib.Codebook | None = None,
   episodes: episodes_lib.EpisodeInitialiser | None = None,
   arena: str | track.Track = 'flat',
-  config: config_lib.ImitationConfig | None = None,
-) -> imitation.Imitation:
+  config: task_config.ImitationConfig | None = None,
+) -> composer_task.Imitation:
   """Builds an imitation task: the one place where its parts meet.
 
   Args:
@@ -72,13 +72,13 @@ def make_task(
   names = tuple(motion.name for motion in motions)
   if isinstance(arena, str):
     arena = track.make(arena)
-  config = config or config_lib.ImitationConfig()
+  config = config or task_config.ImitationConfig()
   if episodes is None:
     episodes = episodes_lib.TransitionEpisodes(
       reference.ReferenceBank(motions),
       commands_from_ground=config.commands_from_ground,
     )
-  return imitation.Imitation(
+  return composer_task.Imitation(
     mini_biped.MiniBiped(),
     arena,
     tuple(motions),
@@ -89,7 +89,7 @@ def make_task(
 
 
 def make_environment(
-  task: imitation.Imitation,
+  task: composer_task.Imitation,
   random: int | np.random.RandomState | None = None,
   environment_kwargs: Mapping[str, Any] | None = None,
 ) -> composer.Environment:
@@ -116,10 +116,10 @@ def multimode(
   time_limit: float | None = None,
   random: int | np.random.RandomState | None = None,
   environment_kwargs: Mapping[str, Any] | None = None,
-  config: config_lib.ImitationConfig | None = None,
+  config: task_config.ImitationConfig | None = None,
 ) -> composer.Environment:
   """A set of modes and all their transitions, sampled by Algorithm 1."""
-  config = config or config_lib.ImitationConfig(
+  config = config or task_config.ImitationConfig(
     gains=REWARD_GAINS.get(str(modes), _DEFAULT_GAINS)
   )
   if time_limit is not None:
@@ -135,7 +135,7 @@ def single_mode(
   environment_kwargs: Mapping[str, Any] | None = None,
 ) -> composer.Environment:
   """One mode, commanded throughout."""
-  config = config_lib.ImitationConfig()
+  config = task_config.ImitationConfig()
   if time_limit is not None:
     config = dataclasses.replace(config, time_limit=time_limit)
   task = make_task(library.resolve([mode]), episodes=_first(), config=config)

@@ -17,12 +17,12 @@ import pytest
 import torch
 
 from dmc_multimode.agents import distributed
-from dmc_multimode.agents import evaluation
-from dmc_multimode.agents import training
+from dmc_multimode.agents import runner
 from dmc_multimode.agents.ppo import builder
-from dmc_multimode.agents.ppo import config as config_lib
+from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.agents.ppo import learning
 from dmc_multimode.agents.ppo import symmetry
+from dmc_multimode.evaluation import episodes as evaluation_episodes
 from tests.agents import toy
 
 pytestmark = pytest.mark.usefixtures('one_thread')
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.usefixtures('one_thread')
 _RANKS = 2
 _TIMEOUT = 120  # Seconds.
 # One minibatch has all samples, so that the order in which they come is none.
-_WHOLE = config_lib.PPOConfig(
+_WHOLE = ppo_config.PPOConfig(
   hidden_sizes=(16,), rollout_length=4, epochs=2, minibatches=1
 )
 _PPO = dataclasses.replace(_WHOLE, minibatches=2)
@@ -73,14 +73,14 @@ class _Environment(toy.TargetEnvironment):
 
 def _loop(
   communicator: distributed.Communicator,
-) -> tuple[_Environment, training.TrainingLoop]:
+) -> tuple[_Environment, runner.TrainingLoop]:
   seed = distributed.rank_seed(5, communicator.rank)
   environment = _Environment(communicator.rank, seed)
   parts = builder.PPOBuilder(_PPO, 0, communicator, parallel=True)
   network = parts.make_networks(
     environment.observation_spec(), environment.action_spec()
   )
-  return environment, training.TrainingLoop(
+  return environment, runner.TrainingLoop(
     environment,
     parts.make_actor(network),
     parts.make_learner(network),
@@ -159,18 +159,18 @@ def _operations(ranks: distributed.Communicator) -> _Found:
   }
 
 
-def _evaluate(ranks: distributed.Communicator) -> evaluation.Episodes:
+def _evaluate(ranks: distributed.Communicator) -> evaluation_episodes.Episodes:
   """Two ranks run three episodes, for as long as theirs last."""
   rank = ranks.rank
   steps = np.arange(4 + rank)[:, None, None]
-  episodes = evaluation.Episodes(
+  episodes = evaluation_episodes.Episodes(
     returns=np.arange(3.0) + 10 * rank,
     survived=np.array([True, False, rank == 0]),
     lengths=np.array([4, 5, 3]),
     traces={'position': steps + np.array([[0.0], [10.0], [20.0]]) + 100 * rank},
   )
   mine = np.array([0, 2]) if rank == 0 else np.array([1])
-  return evaluation.of_all_ranks(episodes, mine, ranks)
+  return evaluation_episodes.of_all_ranks(episodes, mine, ranks)
 
 
 def _in_two_threads(ranks: distributed.Communicator) -> list[float]:
@@ -198,7 +198,7 @@ def _diverge(ranks: distributed.Communicator) -> _Found:
     )
   before = loop.state()[0]
   try:
-    loop.run(training.TrainingConfig(steps=1), mock.Mock(), lambda: None)
+    loop.run(runner.TrainingConfig(steps=1), mock.Mock(), lambda: None)
   except FloatingPointError as error:
     return {'error': str(error), 'before': before, 'after': loop.state()[0]}
   raise AssertionError('it learned')
@@ -207,7 +207,7 @@ def _diverge(ranks: distributed.Communicator) -> _Found:
 def _train(ranks: distributed.Communicator) -> _Found:
   """Trains, saves, trains on; restores, trains on again."""
   environment, loop = _loop(ranks)
-  config = training.TrainingConfig(steps=8 * 16 * _RANKS)
+  config = runner.TrainingConfig(steps=8 * 16 * _RANKS)
   asked = iter([False, False, ranks.rank == 1])  # Only one is asked to.
   save = mock.Mock()
   loop.run(config, mock.Mock(), save, lambda: next(asked))

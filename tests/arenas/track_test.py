@@ -14,8 +14,8 @@ from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track
 from dmc_multimode.modes import codebook
 from dmc_multimode.modes import library
-from dmc_multimode.suite import batched
 from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite.imitation import batched_env
 
 _NUM_TRACKS = 200
 _RADIUS = 0.05  # Metres.
@@ -228,7 +228,9 @@ class BatchedTest(parameterized.TestCase):
       motions, codebook.one_hot(motions), arena=arena
     )
     joints = [joint.full_identifier for joint in _add_balls(arena)]
-    worlds = batched.BatchedImitation(task, _NUM_TRACKS, seed=0, num_threads=2)
+    worlds = batched_env.BatchedImitation(
+      task, _NUM_TRACKS, seed=0, num_threads=2
+    )
     everywhere, random_state = np.arange(_NUM_TRACKS), np.random.RandomState(0)
     for world in everywhere:
       worlds.core.terrain.write(np.array([world]), arena.generate(random_state))

@@ -16,7 +16,7 @@ def benchmark(
   binary = processes.Binary(
     'app',  # A binary without flags, to be replaced.
     tmp_path_factory.mktemp('output'),
-    f'from benchmarks import {name} as binary',
+    f'from benchmarks.{request.path.parent.name} import {name} as binary',
   )
   yield binary
   binary.close()

@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from dmc_multimode import resources
 from dmc_multimode.bin import app
+from dmc_multimode.utils import resources
 
 _ROOT = pathlib.Path(__file__).resolve().parents[2]
 _BINARY = """

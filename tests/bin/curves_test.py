@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dmc_multimode.bin import training_figures
+from dmc_multimode.evaluation import training_figures
 from tests.bin import processes
 
 _COLUMNS = 'steps,mra_modes,mra_transitions,p/walk,p/walk->idle'

@@ -8,16 +8,17 @@ from typing import Iterator
 import numpy as np
 import pytest
 
-from dmc_multimode.suite import config
+from dmc_multimode.suite.imitation import config as task_config
 from tests.bin import processes
 from tests.bin import untrained
 
 _MODES = ('idle', 'walk_forward')
 # The first model costs seconds.
 _WARM_UP = """
-from dmc_multimode.suite import batched, multimode_biped
+from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.modes import library
-batched._compile(multimode_biped.make_task(library.resolve('idle')))
+batched_env._compile(multimode_biped.make_task(library.resolve('idle')))
 """
 
 
@@ -35,7 +36,7 @@ def evaluate(
 def policy(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
   """The folder of an untrained policy, for episodes of 0.6 seconds."""
   folder = tmp_path_factory.mktemp('policy')
-  task = config.ImitationConfig(time_limit=0.6)
+  task = task_config.ImitationConfig(time_limit=0.6)
   untrained.save(folder, _MODES, task, {'steps': 12})
   return folder
 

@@ -10,11 +10,11 @@ import pytest
 from dmc_multimode import pretrained
 from dmc_multimode.arenas import terrain
 from dmc_multimode.arenas import track
-from dmc_multimode.bin import plan_figures
+from dmc_multimode.evaluation import plan_figures
 from dmc_multimode.planner import plan as plan_lib
-from dmc_multimode.planner import planning
 from dmc_multimode.planner import pushes as pushes_lib
-from dmc_multimode.suite import reaching
+from dmc_multimode.planner import solver
+from dmc_multimode.suite.reaching import problem as reaching
 from tests.bin import processes
 
 _WALK = (
@@ -103,7 +103,7 @@ def test_pushes_and_replanning(
   assert values['replan_every'] == 2
   assert values['success'] == (done.code == 0)
   course, policy = plan_lib.course(values), pretrained.load('quickstart')
-  replayed = planning.replay(
+  replayed = solver.replay(
     policy,
     track.make('flat'),
     reaching.ReachingConfig((0.6, 0.0, 0.5), 6, 0.3),

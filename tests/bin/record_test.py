@@ -17,15 +17,15 @@ import pytest
 
 from dmc_multimode import pretrained
 from dmc_multimode.arenas import track
-from dmc_multimode.bin import recording
-from dmc_multimode.bin import robot
-from dmc_multimode.bin import rollout
-from dmc_multimode.bin import video
 from dmc_multimode.planner import plan as plan_lib
-from dmc_multimode.planner import planning
 from dmc_multimode.planner import pushes as pushes_lib
-from dmc_multimode.suite import config
-from dmc_multimode.suite import reaching
+from dmc_multimode.planner import solver
+from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.suite.reaching import problem as reaching
+from dmc_multimode.viewer import recording
+from dmc_multimode.viewer import robot
+from dmc_multimode.viewer import rollout
+from dmc_multimode.viewer import video
 from tests.bin import untrained
 
 _ROOT = pathlib.Path(__file__).parents[2]
@@ -38,7 +38,8 @@ _SMALL = (f'--width={_WIDTH}', f'--height={_HEIGHT}')
 _SERVER = """
 import contextlib, io, json, sys
 from absl import flags
-from dmc_multimode.bin import app, gl, record
+from dmc_multimode.bin import app, record
+from dmc_multimode.viewer import gl
 gl.choose_backend = lambda: None  # The caller has done it.
 OWN = flags.FLAGS.flags_by_module_dict()[record.__name__]
 for line in sys.stdin:
@@ -105,7 +106,7 @@ def _decode(path: pathlib.Path) -> tuple[np.ndarray, float]:
 def policy(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
   """The folder of an untrained policy."""
   folder = tmp_path_factory.mktemp('policy')
-  untrained.save(folder, _MODES, config.ImitationConfig(), {})
+  untrained.save(folder, _MODES, task_config.ImitationConfig(), {})
   return folder
 
 
@@ -173,7 +174,7 @@ def test_pushes_as_in_the_plan() -> None:
     pushes_lib.Push(0.0, (0.2, 0.0, 0.0)),
   )
   plan = plan_lib.ModePlan(('walk_forward', 'walk_forward', 'idle'), 0.3)
-  planned = planning.replay(
+  planned = solver.replay(
     policy,
     track.make('flat'),
     reaching.ReachingConfig((0.5, 0.0, 0.5), 3, 0.3, seed=4),

@@ -13,8 +13,8 @@ import torch
 
 from dmc_multimode import pretrained
 from dmc_multimode.agents import checkpointing
-from dmc_multimode.bin import launches
-from dmc_multimode.bin import run_setup
+from dmc_multimode.experiments import launch as launches
+from dmc_multimode.experiments import setup
 from tests.bin import processes
 from tests.bin import short_run
 from tests.bin import untrained
@@ -29,10 +29,10 @@ from dmc_multimode.agents import checkpointing
 from dmc_multimode.bin import train
 stall = pathlib.Path(os.environ.get('STALL_IN', '/nowhere'))
 rank = os.environ.get('RANK', '0')
-loop = train.training.TrainingLoop
+loop = train.runner.TrainingLoop
 if stall.is_dir():
-  train.training.TrainingConfig = functools.partial(
-    train.training.TrainingConfig, checkpoint_seconds=1e-9
+  train.runner.TrainingConfig = functools.partial(
+    train.runner.TrainingConfig, checkpoint_seconds=1e-9
   )
   collect = loop._collect
   def _collect(self):
@@ -173,7 +173,7 @@ def test_two_ranks_hold_one_network(two: Launch) -> None:
   worlds = [tensors[f'{p}environment/physics'] for p in ('', 'rank1/')]
   assert len(worlds[0]) == len(worlds[1]) == 4
   assert not torch.equal(*worlds)
-  config, _, _ = run_setup.load_run(two.run)
+  config, _, _ = setup.load_run(two.run)
   assert config.num_worlds == 8
   assert pretrained.load(two.run).provenance['steps'] == short_run.STEPS
 
@@ -258,10 +258,10 @@ def test_two_ranks_begin_with_one_policy(tmp_path: pathlib.Path) -> None:
 
 
 def test_worlds_that_cannot_be_shared() -> None:
-  config = run_setup.RunConfig(num_worlds=9)
-  run_setup.check_ranks(config, 3)
+  config = setup.RunConfig(num_worlds=9)
+  setup.check_ranks(config, 3)
   with pytest.raises(ValueError, match='num_worlds 9 .* 2 of them'):
-    run_setup.check_ranks(config, 2)
+    setup.check_ranks(config, 2)
 
 
 @pytest.mark.parametrize(
@@ -287,5 +287,5 @@ def test_restarts(
     launches.note(tmp_path)
   monkeypatch.setenv('TORCHELASTIC_RUN_ID', now)
   assert not launches.is_restart(tmp_path)  # There is no run yet.
-  (tmp_path / run_setup.CONFIG_FILE).touch()
+  (tmp_path / setup.CONFIG_FILE).touch()
   assert launches.is_restart(tmp_path) == restart

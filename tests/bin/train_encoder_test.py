@@ -13,8 +13,8 @@ from absl.testing import flagsaver
 from absl.testing import parameterized
 
 from dmc_multimode.bin import train_encoder
-from dmc_multimode.modes import encoder
 from dmc_multimode.modes import library
+from dmc_multimode.modes.encoder import training as encoder_training
 
 _MODE = """\
 name: wait
@@ -50,7 +50,7 @@ class TrainEncoderTest(parameterized.TestCase):
       f'--out={folder / "out"}',
     )
     self.assertEqual(done.returncode, 0, done.stderr)
-    book = encoder.load(folder / 'out').codebook()
+    book = encoder_training.load(folder / 'out').codebook()
     self.assertEqual(book.names, ('walk_forward', 'wait'))
     for name in ('encoder.safetensors', 'encoder.json', 'encoding.png'):
       self.assertIn(f'wrote {folder / "out" / name}', done.stdout)
@@ -73,7 +73,7 @@ class TrainEncoderTest(parameterized.TestCase):
     out = self.folder / 'out'
     with (
       flagsaver.flagsaver(**{'out': str(out), **values}),
-      mock.patch.object(encoder, 'train', side_effect=AssertionError),
+      mock.patch.object(encoder_training, 'train', side_effect=AssertionError),
       self.assertRaisesRegex((ValueError, OSError), message),
     ):
       flags.FLAGS.mark_as_parsed()
@@ -86,8 +86,8 @@ class TrainEncoderTest(parameterized.TestCase):
     self.assertLen(done.stderr.splitlines(), 1)
 
   def test_tables_and_figure(self) -> None:
-    config = encoder.EncoderConfig(max_rmse=0.5, min_separation=0.1)
-    trained = encoder.train(library.resolve('pi2'), config)
+    config = encoder_training.EncoderConfig(max_rmse=0.5, min_separation=0.1)
+    trained = encoder_training.train(library.resolve('pi2'), config)
     text = train_encoder.tables(trained)
     for name, error in trained.rmse().items():
       self.assertRegex(text, rf'{name} +{100 * error:.2f}')

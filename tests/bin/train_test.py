@@ -17,7 +17,7 @@ import torch
 
 from dmc_multimode import pretrained
 from dmc_multimode.agents import checkpointing
-from dmc_multimode.bin import run_setup
+from dmc_multimode.experiments import setup
 from tests.bin import processes
 from tests.bin import short_run
 from tests.bin import untrained
@@ -29,10 +29,10 @@ _ROW_EVERY = 5 * _ITERATION  # Between rows of the logs.
 # A checkpoint after every iteration; stalls with the eighth rollout at hand.
 _STALLING = """
 import functools, time
-binary.training.TrainingConfig = functools.partial(
-  binary.training.TrainingConfig, checkpoint_seconds=1e-9
+binary.runner.TrainingConfig = functools.partial(
+  binary.runner.TrainingConfig, checkpoint_seconds=1e-9
 )
-loop = binary.training.TrainingLoop
+loop = binary.runner.TrainingLoop
 collect = loop._collect
 loop._collect = lambda self: (
   collect(self), self.iterations == 8 and time.sleep(300)
@@ -44,8 +44,9 @@ import torch
 from torch.utils import tensorboard
 torch.optim.Adam([torch.zeros(1)])
 from dmc_multimode.modes import library
-from dmc_multimode.suite import batched, multimode_biped
-batched._compile(multimode_biped.make_task(library.resolve('idle')))
+from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite.imitation import batched_env
+batched_env._compile(multimode_biped.make_task(library.resolve('idle')))
 """
 
 _BAD_MODE = """\
@@ -117,14 +118,14 @@ def _wait_for(condition: Callable[[], Any]) -> None:
 def test_folder_of_a_run(run_dir: pathlib.Path) -> None:
   found = {name.partition('/')[0] for name in _files(run_dir)}
   expected = {
-    run_setup.CONFIG_FILE,
+    setup.CONFIG_FILE,
     checkpointing.NAME,
     'policy',
     'metrics.csv',
     'tensorboard',
   }
   assert found == expected
-  config, motions, book = run_setup.load_run(run_dir)
+  config, motions, book = setup.load_run(run_dir)
   assert (config.num_worlds, config.threads, config.one_hot) == (8, 1, True)
   assert config.ppo.hidden_sizes == (16,)
   assert [motion.name for motion in motions] == ['idle', 'walk_forward']
@@ -427,8 +428,8 @@ def _of_another_network(path: pathlib.Path) -> None:
     (checkpointing.NAME, _pickled, 'was not written by'),
     (checkpointing.NAME, _without_the_actor, 'generator'),
     (checkpointing.NAME, _of_another_network, 'another network'),
-    (run_setup.CONFIG_FILE, _truncated, 'config.json is damaged'),
-    (run_setup.CONFIG_FILE, _pickled, 'config.json is damaged'),
+    (setup.CONFIG_FILE, _truncated, 'config.json is damaged'),
+    (setup.CONFIG_FILE, _pickled, 'config.json is damaged'),
   ],
 )
 def test_damaged_run(
@@ -449,7 +450,7 @@ def test_damaged_run(
 def test_checkpoint_without_its_run_is_not_taken_over(
   train: processes.Binary, copy: pathlib.Path
 ) -> None:
-  (copy / run_setup.CONFIG_FILE).unlink()
+  (copy / setup.CONFIG_FILE).unlink()
   before = _files(copy)
   done = train(f'--run_dir={copy}', *_TINY, '--steps=100000')
   assert done.code == 2
@@ -539,7 +540,7 @@ def test_run_that_began_with_a_policy_goes_on_bit_for_bit(
   flag = f'--run_dir={folder}'
   if iterations:
     # The schedules are those of the whole training, whatever --steps say.
-    config = run_setup.load_run(grown)[0]
+    config = setup.load_run(grown)[0]
     schedules = (
       f'--ppo_anneal_start={config.ppo.anneal_start}',
       f'--ppo_anneal_end={config.ppo.anneal_end}',
@@ -551,9 +552,9 @@ def test_run_that_began_with_a_policy_goes_on_bit_for_bit(
   else:
     for name, content in _files(grown).items():
       if content and name.partition('/')[0] in (
-        run_setup.CONFIG_FILE,
-        run_setup.INITIAL,
-        run_setup.ENCODER,
+        setup.CONFIG_FILE,
+        setup.INITIAL,
+        setup.ENCODER,
       ):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(content)

@@ -6,17 +6,17 @@ from typing import Any, Mapping, Sequence
 from dmc_multimode import pretrained
 from dmc_multimode.agents.ppo import networks
 from dmc_multimode.modes import codebook
-from dmc_multimode.modes import encoder as encoder_lib
 from dmc_multimode.modes import library
-from dmc_multimode.suite import config
-from dmc_multimode.suite import observations
-from dmc_multimode.suite import privileged
+from dmc_multimode.modes.encoder import training as encoder_training
+from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.suite.imitation import observations
+from dmc_multimode.suite.imitation import privileged
 
 
 def save(
   folder: pathlib.Path,
   modes: Sequence[str],
-  task: config.ImitationConfig,
+  task: task_config.ImitationConfig,
   provenance: Mapping[str, Any],
 ) -> None:
   """Writes a small policy with one-hot commands for `modes` into a folder."""
@@ -31,12 +31,12 @@ def save_with_encoder(
   folder: pathlib.Path,
   modes: Sequence[str],
   provenance: Mapping[str, Any],
-  task: config.ImitationConfig | None = None,
+  task: task_config.ImitationConfig | None = None,
 ) -> pretrained.Policy:
   """Writes and returns one with latents; the encoder is as untrained."""
-  encoder = encoder_lib.train(
+  encoder = encoder_training.train(
     library.resolve(modes),
-    encoder_lib.EncoderConfig(hidden=4, max_rmse=9.0, min_separation=0.0),
+    encoder_training.EncoderConfig(hidden=4, max_rmse=9.0, min_separation=0.0),
   )
   encoder.save(folder)
   book = encoder.codebook()
@@ -52,7 +52,7 @@ def save_with_encoder(
     (16,),
     encoder.motions,
     book,
-    task or config.ImitationConfig(),
+    task or task_config.ImitationConfig(),
     provenance,
   )
   policy.save(folder)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import numpy as np
 
 from dmc_multimode.modes import fields
-from dmc_multimode.modes import files
+from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
 from dmc_multimode.modes import reference
 
@@ -79,8 +79,8 @@ class _FilesTest(parameterized.TestCase):
     return path
 
   def fails(self, path: pathlib.Path, where: str, message: str) -> None:
-    with self.assertRaises(files.ModeFileError) as caught:
-      files.load(path)
+    with self.assertRaises(mode_files.ModeFileError) as caught:
+      mode_files.load(path)
     text = str(caught.exception)
     self.assertStartsWith(text, f'{path}:{where}')
     self.assertRegex(text, message)
@@ -89,7 +89,7 @@ class _FilesTest(parameterized.TestCase):
 
 class LoadTest(_FilesTest):
   def test_every_field(self) -> None:
-    (motion,) = files.load(self.write(_YAML))
+    (motion,) = mode_files.load(self.write(_YAML))
     self.assertEqual(motion.name, 'turn_left')
     self.assertEqual(motion.kind, reference.PERIODIC)
     self.assertEqual(motion.duration, 0.9)
@@ -105,12 +105,12 @@ class LoadTest(_FilesTest):
 
   def test_euler_is_roll_then_pitch_then_yaw(self) -> None:
     text = _YAML.replace('[0, 0, 45]', '[90, 0, 90]')
-    (motion,) = files.load(self.write(text))
+    (motion,) = mode_files.load(self.write(text))
     # The x axis stays in the roll and becomes y in the yaw.
     np.testing.assert_allclose(motion.orientations[1], [0.5] * 4, atol=1e-12)
 
   def test_optional_fields_have_defaults(self) -> None:
-    (motion,) = files.load(
+    (motion,) = mode_files.load(
       self.write(
         '{name: a, kind: steady, duration: 1, keyframes: '
         '[{phase: 0, position: [0, 0, 1]}, {phase: 1, position: [0, 0, 1]}]}'
@@ -124,24 +124,24 @@ class LoadTest(_FilesTest):
   @parameterized.parameters(None, 2, '\t')
   def test_whole_library_as_json(self, indent: int | str | None) -> None:
     motions = tuple(library.modes().values())
-    data = {'modes': [files.motion_to_dict(m) for m in motions]}
+    data = {'modes': [mode_files.motion_to_dict(m) for m in motions]}
     path = self.write(json.dumps(data, indent=indent), 'modes.json')
-    for wanted, found in zip(motions, files.load(path), strict=True):
+    for wanted, found in zip(motions, mode_files.load(path), strict=True):
       _assert_equal(wanted, found)
 
   @parameterized.parameters(range(20))
   def test_dict_round_trip_is_exact(self, seed: int) -> None:
     motion = _random_motion(seed)
-    data = json.loads(json.dumps(files.motion_to_dict(motion)))
-    _assert_equal(motion, files.motion_from_dict(data))
+    data = json.loads(json.dumps(mode_files.motion_to_dict(motion)))
+    _assert_equal(motion, mode_files.motion_from_dict(data))
 
   def test_from_dict_names_the_field(self) -> None:
-    data = files.motion_to_dict(_random_motion(0))
+    data = mode_files.motion_to_dict(_random_motion(0))
     data['keyframes'][1]['position'] = [0, 0]
     with self.assertRaisesRegex(
-      files.ModeFileError, r'^keyframes\[1\].position: .*3 numbers'
+      mode_files.ModeFileError, r'^keyframes\[1\].position: .*3 numbers'
     ):
-      files.motion_from_dict(data)
+      mode_files.motion_from_dict(data)
 
 
 class ErrorsTest(_FilesTest):
@@ -227,7 +227,7 @@ class ErrorsTest(_FilesTest):
     self.fails(self.write(text, 'modes.JSON'), line, message)
 
   def test_too_large(self) -> None:
-    self.fails(self.write(' ' * (files.MAX_BYTES + 1)), ' ', 'larger than')
+    self.fails(self.write(' ' * (mode_files.MAX_BYTES + 1)), ' ', 'larger than')
 
   def test_too_many_keyframes(self) -> None:
     frame = '{phase: 0, position: [0, 0, 1]},'
@@ -271,8 +271,8 @@ def _places(data: Any) -> list[tuple[Any, Any]]:
 class FuzzTest(_FilesTest):
   def only_mode_file_errors(self, path: pathlib.Path) -> None:
     try:
-      files.load(path)
-    except files.ModeFileError as error:
+      mode_files.load(path)
+    except mode_files.ModeFileError as error:
       self.assertStartsWith(str(error), str(path))
       self.assertLen(str(error).splitlines(), 1)
 
@@ -294,13 +294,13 @@ class FuzzTest(_FilesTest):
   @hypothesis.settings(max_examples=200, deadline=None, derandomize=True)
   @hypothesis.given(st.data())
   def test_values(self, data: st.DataObject) -> None:
-    mode = copy.deepcopy(files.motion_to_dict(_random_motion(1)))
+    mode = copy.deepcopy(mode_files.motion_to_dict(_random_motion(1)))
     places = _places(mode)
     container, key = places[data.draw(st.integers(0, len(places) - 1))]
     container[key] = data.draw(_VALUES)
     try:
-      files.motion_from_dict(mode)
-    except files.ModeFileError as error:
+      mode_files.motion_from_dict(mode)
+    except mode_files.ModeFileError as error:
       self.assertLen(str(error).splitlines(), 1)
     path = self.write(json.dumps(mode), 'a.json')
     self.only_mode_file_errors(path)

@@ -10,7 +10,7 @@ from dmc_multimode import pretrained
 from dmc_multimode.arenas import track
 from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.planner import pushes as pushes_lib
-from dmc_multimode.suite import reaching
+from dmc_multimode.suite.reaching import problem as reaching
 
 _IDLE, _WALK, _LEAP = range(3)
 _FAR: dict[str, Any] = {'knots': 8, 'goal': (2.0, 0.0, 0.5)}

@@ -8,13 +8,13 @@ import pytest
 
 from dmc_multimode import pretrained
 from dmc_multimode.arenas import track
+from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import plan as plan_lib
-from dmc_multimode.planner import planning
 from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.planner import q_learning
 from dmc_multimode.planner import replanning
-from dmc_multimode.planner import search
-from dmc_multimode.suite import reaching
+from dmc_multimode.planner import solver as planning
+from dmc_multimode.suite.reaching import problem as reaching
 
 # Time enough to stand there for a while, and to be pushed back.
 _CONFIG = reaching.ReachingConfig((0.7, 0.0, 0.5), 11, 0.3)
@@ -41,7 +41,7 @@ def _solver(
 
 def test_a_plan_survives_pushes(policy: pretrained.Policy) -> None:
   """Open loop the robot ends where it was pushed to; replanning it returns."""
-  solver = _solver(policy, _CONFIG, search.BeamConfig(3, attempts=1))
+  solver = _solver(policy, _CONFIG, beam_search.BeamConfig(3, attempts=1))
   lost = replanning.solve(solver, _PUSHES)
   reports: list[planning.Status] = []
   found = replanning.solve(solver, _PUSHES, 2, reports.append)
@@ -69,7 +69,7 @@ def test_a_plan_survives_pushes(policy: pretrained.Policy) -> None:
 def test_without_pushes_the_first_plan_is_kept(
   policy: pretrained.Policy,
 ) -> None:
-  solver = _solver(policy, _SHORT, search.BeamConfig(2, attempts=1))
+  solver = _solver(policy, _SHORT, beam_search.BeamConfig(2, attempts=1))
   open_loop, found = solver.solve(), replanning.solve(solver, every=1)
   assert found.success
   assert found.plan == open_loop.plan
@@ -96,7 +96,7 @@ def test_q_learning_replans(policy: pretrained.Policy) -> None:
 def test_for_a_fallen_robot_nothing_is_planned(
   policy: pretrained.Policy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-  solver = _solver(policy, _CONFIG, search.BeamConfig(1, attempts=1))
+  solver = _solver(policy, _CONFIG, beam_search.BeamConfig(1, attempts=1))
   found = solver.solve()._replace(success=False)
   asked: list[int] = []
 
@@ -117,7 +117,7 @@ def test_for_a_fallen_robot_nothing_is_planned(
 
 
 def test_rejects(policy: pretrained.Policy) -> None:
-  solver = _solver(policy, _SHORT, search.BeamConfig(1))
+  solver = _solver(policy, _SHORT, beam_search.BeamConfig(1))
   with pytest.raises(ValueError, match='replan_every must not be negative'):
     replanning.solve(solver, every=-1)
   with pytest.raises(ValueError, match='outside of the plan'):

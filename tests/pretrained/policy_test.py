@@ -16,8 +16,8 @@ from dmc_multimode.agents.ppo import networks
 from dmc_multimode.modes import codebook
 from dmc_multimode.modes import library
 from dmc_multimode.pretrained import policy as policy_lib
-from dmc_multimode.suite import config
-from dmc_multimode.suite import observations
+from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.suite.imitation import observations
 
 _MODES = ('idle', 'walk_forward')
 _SIZE = 2 + 3 + observations.STATE_SIZE
@@ -42,7 +42,7 @@ def _policy(
     (16, 8),
     library.resolve(_MODES),
     codebook.Codebook(_MODES, latents),
-    config.ImitationConfig(time_limit=3.0),
+    task_config.ImitationConfig(time_limit=3.0),
     {'steps': 12, 'run': {'seed': 3}},
   )
 

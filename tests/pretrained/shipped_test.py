@@ -7,13 +7,13 @@ from absl.testing import parameterized
 import numpy as np
 
 from dmc_multimode import pretrained
-from dmc_multimode.agents import evaluation
 from dmc_multimode.agents.ppo import acting
+from dmc_multimode.evaluation import episodes as evaluation_episodes
 from dmc_multimode.modes import schedule
-from dmc_multimode.suite import batched
-from dmc_multimode.suite import config as config_lib
-from dmc_multimode.suite import episodes
 from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite.imitation import batched_env
+from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.suite.imitation import episodes
 
 _EPISODES = 4  # Of each mode.
 _MARGIN = 0.05  # Of the mean return, for so few episodes.
@@ -32,10 +32,10 @@ class ShippedTest(parameterized.TestCase):
       policy.motions,
       policy.codebook,
       episodes.ScheduledEpisodes(schedule.single(modes)),
-      config=config_lib.for_evaluation(policy.config),
+      config=task_config.for_evaluation(policy.config),
     )
-    worlds = batched.BatchedImitation(task, len(modes), 1, auto_reset=False)
-    found = evaluation.run_episodes(worlds, policy.select_action)
+    worlds = batched_env.BatchedImitation(task, len(modes), 1, auto_reset=False)
+    found = evaluation_episodes.run_episodes(worlds, policy.select_action)
     self.assertGreater(
       found.returns.mean(), policy.metrics['mra_modes']['mean'] - _MARGIN
     )
@@ -67,7 +67,7 @@ class ShippedTest(parameterized.TestCase):
     names = [motion.name for motion in policy.motions]
     walks = 'walk_forward' in names  # Unimodal ones may not.
     mode = np.array([names.index('walk_forward') if walks else 0])
-    config = config_lib.for_evaluation(policy.config)
+    config = task_config.for_evaluation(policy.config)
     task = multimode_biped.make_task(
       policy.motions,
       policy.codebook,

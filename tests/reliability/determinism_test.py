@@ -1,6 +1,6 @@
 """The same seed, the same result: in another process, by any thread count.
 
-That both engines agree is tests/suite/batched_test.py's `ParityTest`; that
+That both engines agree is batched_env_test.py's `ParityTest`; that
 `evaluate` writes the same bytes twice, tests/bin/evaluate_test.py's
 `test_report`; that a killed training goes on bit for bit, on one thread and in
 several processes, tests/bin/train_test.py and train_distributed_test.py.
@@ -15,15 +15,15 @@ import pytest
 
 from dmc_multimode import pretrained
 from dmc_multimode.modes import library
-from dmc_multimode.suite import batched
 from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite.imitation import batched_env
 
 _STEPS = 40
 
 
 def rollout(threads: int) -> str:
   """Returns a hash of everything that random actions lead to."""
-  worlds = batched.BatchedImitation(
+  worlds = batched_env.BatchedImitation(
     multimode_biped.make_task(library.resolve('pi2')), 12, 3, threads
   )
   found = hashlib.sha256(worlds.reset().tobytes())

@@ -17,20 +17,20 @@ import torch
 
 import dmc_multimode
 from dmc_multimode import pretrained
-from dmc_multimode import resources
 from dmc_multimode.agents import checkpointing
 from dmc_multimode.agents import loggers
-from dmc_multimode.bin import launches
-from dmc_multimode.bin import run_setup
-from dmc_multimode.bin import training_figures
+from dmc_multimode.evaluation import training_figures
+from dmc_multimode.experiments import launch
+from dmc_multimode.experiments import setup
 from dmc_multimode.modes import codebook
-from dmc_multimode.modes import encoder
-from dmc_multimode.modes import files
+from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
+from dmc_multimode.modes.encoder import training as encoder_training
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.pretrained import policy as policy_lib
-from dmc_multimode.suite import config
-from dmc_multimode.suite import mini_biped
+from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.utils import resources
+from dmc_multimode.walkers import mini_biped
 from tests.bin import untrained
 
 _PACKAGE = pathlib.Path(dmc_multimode.__file__).parent
@@ -70,7 +70,7 @@ def _numpy(path: pathlib.Path, mark: pathlib.Path) -> None:
 
 
 def _policy(folder: pathlib.Path) -> None:
-  untrained.save(folder, _MODES, config.ImitationConfig(), {})
+  untrained.save(folder, _MODES, task_config.ImitationConfig(), {})
 
 
 def _checkpoint(folder: pathlib.Path) -> None:
@@ -82,13 +82,15 @@ def _checkpoint(folder: pathlib.Path) -> None:
 
 def _run(folder: pathlib.Path) -> None:
   motions = library.resolve(_MODES)
-  run = run_setup.RunConfig(modes=','.join(_MODES), one_hot=True)
-  run_setup.save_run(folder, run, motions, codebook.one_hot(motions))
+  run = setup.RunConfig(modes=','.join(_MODES), one_hot=True)
+  setup.save_run(folder, run, motions, codebook.one_hot(motions))
 
 
 def _encoder(folder: pathlib.Path) -> None:
-  rough = encoder.EncoderConfig(max_rmse=10.0, min_separation=0.0, hidden=4)
-  encoder.train(library.resolve(_MODES), rough).save(folder)
+  rough = encoder_training.EncoderConfig(
+    max_rmse=10.0, min_separation=0.0, hidden=4
+  )
+  encoder_training.train(library.resolve(_MODES), rough).save(folder)
 
 
 def _codebook(folder: pathlib.Path) -> None:
@@ -118,13 +120,21 @@ _READERS: list[tuple[str, _Write, _Read]] = [
     lambda folder: checkpointing.Checkpointer(folder).load(),
   ),
   (checkpointing.PREVIOUS, _checkpoint, _read_previous),
-  (run_setup.CONFIG_FILE, _run, run_setup.load_run),
-  (encoder.WEIGHTS_FILE, _encoder, encoder.load),
-  (encoder.CONFIG_FILE, _encoder, encoder.load),
+  (setup.CONFIG_FILE, _run, setup.load_run),
+  (encoder_training.WEIGHTS_FILE, _encoder, encoder_training.load),
+  (encoder_training.CONFIG_FILE, _encoder, encoder_training.load),
   (codebook.FILE, _codebook, lambda f: codebook.load(f / codebook.FILE)),
-  ('modes.yaml', _nothing, lambda folder: files.load(folder / 'modes.yaml')),
-  ('modes.json', _nothing, lambda folder: files.load(folder / 'modes.json')),
-  ('modes.pkl', _nothing, lambda folder: files.load(folder / 'modes.pkl')),
+  (
+    'modes.yaml',
+    _nothing,
+    lambda folder: mode_files.load(folder / 'modes.yaml'),
+  ),
+  (
+    'modes.json',
+    _nothing,
+    lambda folder: mode_files.load(folder / 'modes.json'),
+  ),
+  ('modes.pkl', _nothing, lambda folder: mode_files.load(folder / 'modes.pkl')),
   ('plan.json', _nothing, _read_plan('plan.json')),
   ('plan.pkl', _nothing, _read_plan('plan.pkl')),
   ('metrics.csv', _nothing, training_figures.read),
@@ -166,9 +176,9 @@ def test_note_of_a_launch_is_not_executed(
 ) -> None:
   monkeypatch.setenv('TORCHELASTIC_RUN_ID', 'launch')
   _run(tmp_path)
-  _pickle(tmp_path / launches.FILE, tmp_path / 'ran')
+  _pickle(tmp_path / launch.FILE, tmp_path / 'ran')
   with pytest.raises(ValueError):
-    launches.is_restart(tmp_path)
+    launch.is_restart(tmp_path)
   assert not (tmp_path / 'ran').exists()
 
 
@@ -260,11 +270,13 @@ def test_xml_of_the_working_directory_is_ignored(
 def test_no_file_of_a_user_may_hold_xml(
   tmp_path: pathlib.Path, field: str
 ) -> None:
-  mode = files.motion_to_dict(library.modes()['idle'])
+  mode = mode_files.motion_to_dict(library.modes()['idle'])
   path = tmp_path / 'modes.json'
   path.write_text(json.dumps({**mode, field: '<mujoco/>'}))
-  with pytest.raises(files.ModeFileError, match=f'unknown field {field!r}'):
-    files.load(path)
+  with pytest.raises(
+    mode_files.ModeFileError, match=f'unknown field {field!r}'
+  ):
+    mode_files.load(path)
 
 
 # Limits come before memory.
@@ -278,8 +290,8 @@ def _sparse(path: pathlib.Path, size: int) -> None:
 @pytest.mark.parametrize(
   ('name', 'write', 'read', 'size'),
   [
-    (encoder.CONFIG_FILE, _encoder, encoder.load, 65 << 20),
-    (encoder.WEIGHTS_FILE, _encoder, encoder.load, 65 << 20),
+    (encoder_training.CONFIG_FILE, _encoder, encoder_training.load, 65 << 20),
+    (encoder_training.WEIGHTS_FILE, _encoder, encoder_training.load, 65 << 20),
     (
       codebook.FILE,
       _codebook,
@@ -346,16 +358,16 @@ def test_weights_of_another_type(
 ) -> None:
   """Cast where that can be done; refused otherwise, and never a traceback."""
   _encoder(tmp_path)
-  path = tmp_path / encoder.WEIGHTS_FILE
+  path = tmp_path / encoder_training.WEIGHTS_FILE
   weights = safetensors_torch.load(path.read_bytes())
   other = {key: value.to(kind) for key, value in weights.items()}
   content = safetensors_torch.save(other)
   path.write_bytes(content)
-  described = json.loads((tmp_path / encoder.CONFIG_FILE).read_text())
-  described['weights_sha256'] = encoder.digest(content)
-  (tmp_path / encoder.CONFIG_FILE).write_text(json.dumps(described))
+  described = json.loads((tmp_path / encoder_training.CONFIG_FILE).read_text())
+  described['weights_sha256'] = encoder_training.digest(content)
+  (tmp_path / encoder_training.CONFIG_FILE).write_text(json.dumps(described))
   with pytest.raises(ValueError, match='do not fit'):
-    encoder.load(tmp_path)
+    encoder_training.load(tmp_path)
 
 
 # Plans.

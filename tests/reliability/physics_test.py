@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from benchmarks import fault_physics
+from benchmarks.reliability import fault_physics
 from dmc_multimode.arenas import layouts
+from dmc_multimode.suite.imitation import batched_env
 
 _TIMESTEPS = (fault_physics.USERS_TIMESTEP, fault_physics.TRAINING_TIMESTEP)
 
@@ -30,7 +31,7 @@ def test_torques_are_bounded(arena: str) -> None:
 def test_depth_by_hand() -> None:
   """Half of a foot is put into the ground, toe first."""
   task = fault_physics._task('flat', 0.005)
-  worlds = fault_physics.batched.BatchedImitation(task, 2, 0, 1)
+  worlds = batched_env.BatchedImitation(task, 2, 0, 1)
   worlds.reset()
   feet = [7, 10]
   assert worlds.model.geom(feet[0]).name == 'walker/left_foot'

@@ -14,16 +14,16 @@ import pytest
 from tensorboard.backend.event_processing import event_accumulator
 import torch
 
-from dmc_multimode import atomic
 from dmc_multimode.agents import checkpointing
 from dmc_multimode.agents import loggers
-from dmc_multimode.agents import training
+from dmc_multimode.agents import runner
 from dmc_multimode.agents.ppo import config as ppo_config
-from dmc_multimode.bin import run_setup
+from dmc_multimode.experiments import setup
 from dmc_multimode.modes import codebook
 from dmc_multimode.modes import library
+from dmc_multimode.utils import files
 
-_RUN = run_setup.RunConfig(
+_RUN = setup.RunConfig(
   modes='idle,walk_forward',
   num_worlds=8,
   threads=1,
@@ -56,16 +56,16 @@ def _one_thread() -> Iterator[None]:
 
 
 @pytest.fixture(scope='module')
-def run() -> run_setup.Run:
+def run() -> setup.Run:
   """Worlds to be poisoned; whoever uses it begins where the last one ended."""
   motions = library.resolve(_RUN.modes)
-  return run_setup.build(_RUN, motions, codebook.one_hot(motions))
+  return setup.build(_RUN, motions, codebook.one_hot(motions))
 
 
-def _train(run: run_setup.Run, iterations: int) -> list[dict[str, float]]:
+def _train(run: setup.Run, iterations: int) -> list[dict[str, float]]:
   """Trains for some iterations more; returns their rows."""
   logger, steps = _Recorder(), run.loop.steps + iterations * _ITERATION
-  config = training.TrainingConfig(steps=steps, log_every=1)
+  config = runner.TrainingConfig(steps=steps, log_every=1)
   run.loop.run(config, logger, lambda: None)
   return logger.rows
 
@@ -73,7 +73,7 @@ def _train(run: run_setup.Run, iterations: int) -> list[dict[str, float]]:
 # Worlds that diverge.
 
 
-def test_they_are_counted_and_the_count_is_kept(run: run_setup.Run) -> None:
+def test_they_are_counted_and_the_count_is_kept(run: setup.Run) -> None:
   before = _train(run, 1)[-1]['diverged']
   run.environment.qvel[[1, 5], 3] = math.nan
   assert _train(run, 1)[-1]['diverged'] == before + 2
@@ -92,7 +92,7 @@ def test_they_are_counted_and_the_count_is_kept(run: run_setup.Run) -> None:
   assert _train(run, 1)[-1]['diverged'] == 0
 
 
-def test_too_many_end_the_run(run: run_setup.Run) -> None:
+def test_too_many_end_the_run(run: setup.Run) -> None:
   """More than 20 in 20,000 control steps, and not one fewer."""
   run.loop.restore(*_copied(run))  # A new window.
   for _ in range(5):
@@ -110,9 +110,9 @@ def test_too_many_end_the_run(run: run_setup.Run) -> None:
     assert torch.equal(value, weights[key]), key
 
 
-def test_as_many_in_more_steps_do_not(run: run_setup.Run) -> None:
+def test_as_many_in_more_steps_do_not(run: setup.Run) -> None:
   run.loop.restore(*_copied(run))
-  with mock.patch.object(training, '_WINDOW', 100):
+  with mock.patch.object(runner, '_WINDOW', 100):
     for _ in range(3):  # Each window may have one tenth of a world.
       _train(run, 4)
     run.environment.qvel[0, 3] = math.nan
@@ -120,13 +120,13 @@ def test_as_many_in_more_steps_do_not(run: run_setup.Run) -> None:
       _train(run, 1)
 
 
-def _copied(run: run_setup.Run) -> tuple[dict[str, torch.Tensor], Any]:
+def _copied(run: setup.Run) -> tuple[dict[str, torch.Tensor], Any]:
   tensors, values = run.loop.state()
   copies = {k: torch.as_tensor(v).clone() for k, v in tensors.items()}
   return copies, values
 
 
-def test_no_tensor_of_another_shape_is_taken_over(run: run_setup.Run) -> None:
+def test_no_tensor_of_another_shape_is_taken_over(run: setup.Run) -> None:
   _train(run, 1)
   tensors, values = _copied(run)
   assert len(tensors) > 40
@@ -215,7 +215,7 @@ def test_what_dead_processes_left_goes(tmp_path: pathlib.Path) -> None:
   ]
   for path in (dead, *kept):
     path.write_bytes(b'half')
-  atomic.write(tmp_path / 'file', b'whole')
+  files.write(tmp_path / 'file', b'whole')
   found = {path.name for path in tmp_path.iterdir()}
   assert found == {'file', *(path.name for path in kept)}
 

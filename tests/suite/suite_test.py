@@ -14,7 +14,7 @@ import numpy as np
 from dmc_multimode import suite
 from dmc_multimode.modes import library
 from dmc_multimode.suite import multimode_biped
-from dmc_multimode.suite import reaching
+from dmc_multimode.suite.reaching import problem as reaching
 
 _DOMAIN = 'multimode_biped'
 _TASKS = tuple(task for _, task in suite.ALL_TASKS)

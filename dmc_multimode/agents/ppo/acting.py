@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from dmc_multimode.agents import pair
-from dmc_multimode.agents.ppo import config as config_lib
+from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.agents.ppo import networks
 
 
@@ -18,13 +18,13 @@ class BatchedActor:
     self,
     network: networks.ActorCritic,
     seed: int,
-    config: config_lib.PPOConfig | None = None,
+    config: ppo_config.PPOConfig | None = None,
     threads: pair.Pair | None = None,
   ):
     """Acts with `network`; `seed` is that of the exploration."""
     self._network = network
     self._generator = torch.Generator().manual_seed(seed)
-    self._config = config or config_lib.PPOConfig()
+    self._config = config or ppo_config.PPOConfig()
     self._threads = threads or pair.Pair()
     self._quiet = torch.zeros(0, dtype=torch.bool)
 

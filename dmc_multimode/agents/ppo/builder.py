@@ -9,8 +9,8 @@ import torch
 from dmc_multimode.agents import distributed
 from dmc_multimode.agents import pair
 from dmc_multimode.agents.ppo import acting
-from dmc_multimode.agents.ppo import anchoring
-from dmc_multimode.agents.ppo import config as config_lib
+from dmc_multimode.agents.ppo import config as ppo_config
+from dmc_multimode.agents.ppo import kickstarting
 from dmc_multimode.agents.ppo import learning
 from dmc_multimode.agents.ppo import networks
 from dmc_multimode.agents.ppo import symmetry
@@ -21,7 +21,7 @@ class PPOBuilder:
 
   def __init__(
     self,
-    config: config_lib.PPOConfig,
+    config: ppo_config.PPOConfig,
     seed: int,
     communicator: distributed.Communicator = distributed.LOCAL,
     device: torch.device | str = 'cpu',
@@ -82,7 +82,7 @@ class PPOBuilder:
     network: networks.ActorCritic,
     mirror: symmetry.Mirror | None = None,
     commands: symmetry.Commands | None = None,
-    anchor: anchoring.Anchor | None = None,
+    anchor: kickstarting.Anchor | None = None,
   ) -> learning.PPOLearner:
     """Returns a learner that updates `network` in place; see `PPOLearner`."""
     return learning.PPOLearner(

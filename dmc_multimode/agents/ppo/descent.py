@@ -7,7 +7,7 @@ import torch
 from torch import nn
 
 from dmc_multimode.agents import distributed
-from dmc_multimode.agents.ppo import config as config_lib
+from dmc_multimode.agents.ppo import config as ppo_config
 
 
 class Descent:
@@ -16,7 +16,7 @@ class Descent:
   def __init__(
     self,
     parameters: list[nn.Parameter],
-    config: config_lib.PPOConfig,
+    config: ppo_config.PPOConfig,
     communicator: distributed.Communicator = distributed.LOCAL,
   ):
     """Creates the optimiser.

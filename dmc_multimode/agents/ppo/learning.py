@@ -8,9 +8,9 @@ import torch
 
 from dmc_multimode.agents import distributed
 from dmc_multimode.agents import pair
-from dmc_multimode.agents.ppo import anchoring
-from dmc_multimode.agents.ppo import config as config_lib
+from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.agents.ppo import descent
+from dmc_multimode.agents.ppo import kickstarting
 from dmc_multimode.agents.ppo import losses
 from dmc_multimode.agents.ppo import networks
 from dmc_multimode.agents.ppo import symmetry
@@ -74,13 +74,13 @@ class PPOLearner:
   def __init__(
     self,
     network: networks.ActorCritic,
-    config: config_lib.PPOConfig,
+    config: ppo_config.PPOConfig,
     seed: int,
     mirror: symmetry.Mirror | None = None,
     commands: symmetry.Commands | None = None,
     threads: pair.Pair | None = None,
     communicator: distributed.Communicator = distributed.LOCAL,
-    anchor: anchoring.Anchor | None = None,
+    anchor: kickstarting.Anchor | None = None,
   ):
     """Creates the optimisers.
 
@@ -292,7 +292,7 @@ class PPOLearner:
     loss = surrogate - config.entropy_coefficient * entropy
     metrics = {}
     if self._anchor:
-      drift = anchoring.divergence(mean, std, take(samples.anchors))
+      drift = kickstarting.divergence(mean, std, take(samples.anchors))
       loss = loss + config.anchor_weight * drift
       metrics['loss/anchor'] = drift.detach()
     norm = self._policy.descend(loss)

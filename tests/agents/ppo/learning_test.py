@@ -9,30 +9,30 @@ import pytest
 import torch
 
 from dmc_multimode.agents import pair
-from dmc_multimode.agents import training
+from dmc_multimode.agents import runner
 from dmc_multimode.agents.ppo import acting
 from dmc_multimode.agents.ppo import builder
-from dmc_multimode.agents.ppo import config as config_lib
+from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.agents.ppo import learning
 from dmc_multimode.agents.ppo import networks
 from dmc_multimode.agents.ppo import perceptron
 from dmc_multimode.agents.ppo import symmetry
 from dmc_multimode.modes import library
 from dmc_multimode.modes import schedule
-from dmc_multimode.suite import batched
-from dmc_multimode.suite import episodes
-from dmc_multimode.suite import mirror as mirror_lib
 from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite.imitation import batched_env
+from dmc_multimode.suite.imitation import episodes
+from dmc_multimode.suite.imitation import symmetry as task_symmetry
 from tests.agents import toy
 
 pytestmark = pytest.mark.usefixtures('one_thread')
 
 _T, _B, _D, _A = 4, 8, 3, 2
-_CONFIG = config_lib.PPOConfig(hidden_sizes=(16,), rollout_length=_T)
+_CONFIG = ppo_config.PPOConfig(hidden_sizes=(16,), rollout_length=_T)
 
 
 def _network(
-  config: config_lib.PPOConfig = _CONFIG, privileged_size: int = 0
+  config: ppo_config.PPOConfig = _CONFIG, privileged_size: int = 0
 ) -> networks.ActorCritic:
   """Of observations of _D numbers, of which the last may be privileged."""
   torch.manual_seed(0)
@@ -84,7 +84,7 @@ def _same(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) -> bool:
 
 def _reach(
   environment: toy.TargetEnvironment,
-  config: config_lib.PPOConfig,
+  config: ppo_config.PPOConfig,
   iterations: int,
   mirror: symmetry.Mirror | None = None,
 ) -> networks.ActorCritic:
@@ -93,7 +93,7 @@ def _reach(
   network = parts.make_networks(
     environment.observation_spec(), environment.action_spec()
   )
-  loop = training.TrainingLoop(
+  loop = runner.TrainingLoop(
     environment,
     parts.make_actor(network),
     parts.make_learner(network, mirror),
@@ -169,10 +169,10 @@ def test_learned_and_fixed_std() -> None:
 
 def test_std_floor_falls_with_the_steps() -> None:
   floor: dict[str, Any] = {'min_std': 0.4, 'final_min_std': 0.1}
-  config = config_lib.PPOConfig(**floor, anneal_start=100, anneal_end=300)
+  config = ppo_config.PPOConfig(**floor, anneal_start=100, anneal_end=300)
   found = [config.std_bounds(steps)[0] for steps in (0, 100, 200, 300, 1000)]
   assert found == pytest.approx([0.4, 0.4, 0.2, 0.1, 0.1])
-  assert config_lib.PPOConfig(**floor).std_bounds(1000)[0] == 0.4
+  assert ppo_config.PPOConfig(**floor).std_bounds(1000)[0] == 0.4
 
   learner = _learner(**floor, anneal_start=_T * _B, anneal_end=3 * _T * _B)
   learner.network.log_std.data.fill_(-9.0)
@@ -208,11 +208,11 @@ def test_std_ceiling_falls_with_the_floor() -> None:
     'initial_std': 0.4,
     'final_min_std': 0.025,
   }
-  config = config_lib.PPOConfig(**bounds, anneal_start=100, anneal_end=300)
+  config = ppo_config.PPOConfig(**bounds, anneal_start=100, anneal_end=300)
   found = [config.std_bounds(steps)[1] for steps in (0, 100, 200, 300, 1000)]
   assert found == pytest.approx([0.4, 0.4, 0.2, 0.1, 0.1])
   # Whoever begins below the floor stays on it.
-  low = config_lib.PPOConfig(min_std=0.3, initial_std=0.1)
+  low = ppo_config.PPOConfig(min_std=0.3, initial_std=0.1)
   assert low.std_bounds(7) == (0.3, 0.3)
 
   learner = _learner(**bounds, anneal_start=_T * _B, anneal_end=3 * _T * _B)
@@ -510,7 +510,7 @@ def test_builder_takes_weights_over() -> None:
     assert torch.equal(value, expected[key]), key
 
 
-@pytest.mark.parametrize('activation', config_lib.ACTIVATIONS)
+@pytest.mark.parametrize('activation', ppo_config.ACTIVATIONS)
 def test_builder_passes_the_activation_on(activation: str) -> None:
   environment = toy.TargetEnvironment(
     4, lambda seen: seen[:, :_A], lambda rng, count: rng.randn(count, _D)
@@ -627,7 +627,7 @@ def test_acting() -> None:
 )
 def test_config_rejects(changes: dict[str, Any], message: str) -> None:
   with pytest.raises(ValueError, match=message):
-    config_lib.PPOConfig(**changes)
+    ppo_config.PPOConfig(**changes)
 
 
 @pytest.mark.parametrize('kind', ['augment', 'alternate'])
@@ -705,7 +705,7 @@ def _commanded_rollouts(
   )
 
 
-@pytest.mark.parametrize('kind', config_lib.ADVANTAGES)
+@pytest.mark.parametrize('kind', ppo_config.ADVANTAGES)
 def test_advantages_are_normalised_over_all_or_by_mode(kind: str) -> None:
   config = dataclasses.replace(
     _CONFIG, advantages=kind, epochs=1, minibatches=1
@@ -742,7 +742,7 @@ def _toy_mirror() -> symmetry.Mirror:
 
   The first two modes are each other's image, the third is its own.
   """
-  image = mirror_lib.MirrorImage(
+  image = task_symmetry.MirrorImage(
     observation_order=np.arange(4),
     observation_signs=np.array([1, 1, 1, -1], np.float32),
     action_order=np.zeros(1, int),
@@ -831,7 +831,7 @@ def _only_left(rng: np.random.RandomState, count: int) -> np.ndarray:
   return np.concatenate([clock, -np.ones((count, 1)), x], axis=1)
 
 
-@pytest.mark.parametrize('kind', config_lib.SYMMETRIES)
+@pytest.mark.parametrize('kind', ppo_config.SYMMETRIES)
 def test_mirror_images_teach_the_other_side(kind: str) -> None:
   target = lambda seen: np.full((len(seen), 1), 0.4)
   environment = toy.TargetEnvironment(16, target, _only_left)
@@ -915,7 +915,7 @@ class _Mirrored:
     task = multimode_biped.make_task(
       motions, episodes=episodes.ScheduledEpisodes(plan)
     )
-    self.environment = batched.BatchedImitation(
+    self.environment = batched_env.BatchedImitation(
       task, 2 * count, 0, num_threads=1, auto_reset=False, privileged=True
     )
     self.ones, self.images = np.arange(2 * count).reshape(2, count)
@@ -927,7 +927,7 @@ class _Mirrored:
     noise = self._random_state.standard_normal((count, 10))
     return self.environment.standing_action() + 0.2 * noise
 
-  def step(self) -> batched.BatchedTimeStep:
+  def step(self) -> batched_env.BatchedTimeStep:
     """One step of both halves under mirrored actions."""
     actions = self.actions(len(self.ones))
     images = self.mirror.actions(torch.from_numpy(actions)).numpy()
@@ -1010,7 +1010,7 @@ def test_mirror_image_of_privileged_parts_by_hand(mirrored: _Mirrored) -> None:
 
 def test_mirror_image_without_privileged_parts(mirrored: _Mirrored) -> None:
   environment = mirrored.environment
-  image = mirror_lib.mirror_image(environment.motions, environment.codebook)
+  image = task_symmetry.mirror_image(environment.motions, environment.codebook)
   assert image.commands == (2,)
   assert mirrored.image.commands == (2, 43)
   plain = symmetry.Mirror(image, environment.codebook.latents)
@@ -1054,4 +1054,4 @@ def test_set_without_a_mirror_image() -> None:
   motions = library.resolve('idle,walk_left')
   book = multimode_biped.library_codebook().subset(['idle', 'walk_left'])
   with pytest.raises(ValueError, match='walk_right'):
-    mirror_lib.mirror_image(motions, book)
+    task_symmetry.mirror_image(motions, book)

@@ -7,14 +7,14 @@ import pytest
 import torch
 
 from dmc_multimode.agents.ppo import acting
-from dmc_multimode.agents.ppo import config as config_lib
+from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.agents.ppo import learning
 from dmc_multimode.agents.ppo import networks
 
 pytestmark = pytest.mark.usefixtures('one_thread')
 
 _T, _B, _D, _A = 4, 8, 3, 2
-_CONFIG = config_lib.PPOConfig(
+_CONFIG = ppo_config.PPOConfig(
   hidden_sizes=(16,), quiet_share=0.25, quiet_steps=20, quiet_start=1000
 )
 
@@ -102,4 +102,4 @@ def test_policy_learns_nothing_from_quiet_actions(is_quiet: bool) -> None:
 )
 def test_config_rejects(name: str, value: Any) -> None:
   with pytest.raises(ValueError, match=name):
-    config_lib.PPOConfig(**{name: value})
+    ppo_config.PPOConfig(**{name: value})

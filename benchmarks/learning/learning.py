@@ -1,0 +1,306 @@
+"""Our PPO, rsl_rl's and Stable-Baselines3's: speed, and what they learn.
+
+    python -m benchmarks.learning.learning --modes=pi2 --out=learning.json
+
+The same task, networks of the same size and initial weights, and the same
+hyperparameters on the same cores (`learners` says what differs). All train in
+turns, iteration after iteration, and are compared with the first of --learners
+within each round: noise of the machine hits all alike. The update is what comes
+between two rollouts: returns, advantages and all passes over the samples. What
+they have learned is judged by the code of `dmc_multimode.bin.evaluate`: mean
+actions, from rest. Hyperparameters are our defaults, without symmetry and
+privileged information, which not all of them know.
+"""
+
+import dataclasses
+import math
+import pathlib
+import sys
+import time
+from typing import Any, Callable, Mapping, NamedTuple, Sequence
+
+from absl import flags
+import mujoco
+import numpy as np
+import tqdm
+
+from benchmarks import common
+from benchmarks.learning import learners
+from dmc_multimode.bin import app
+from dmc_multimode.evaluation import episodes as evaluation_episodes
+from dmc_multimode.evaluation import evaluator as scoring
+from dmc_multimode.experiments import setup
+from dmc_multimode.modes import codebook as codebook_lib
+from dmc_multimode.modes import reference
+from dmc_multimode.modes import schedule as schedule_lib
+from dmc_multimode.suite.imitation import batched_env
+from dmc_multimode.suite.imitation import config as task_config
+
+_MODES = flags.DEFINE_string('modes', 'pi2', 'A mode set, or modes.')
+_NUM_WORLDS = flags.DEFINE_integer(
+  'num_worlds',
+  setup.RunConfig().num_worlds,
+  'Worlds that are stepped together.',
+  lower_bound=1,
+)
+_THREADS = flags.DEFINE_integer(
+  'threads', common.CORES, 'Threads of physics and torch.', lower_bound=1
+)
+_SEED = flags.DEFINE_integer('seed', 0, 'Of all randomness.', 0)
+_LEARNERS = flags.DEFINE_list(
+  'learners',
+  list(learners.ALIKE),
+  f'Of {", ".join(learners.NAMES)}; the others are compared to the first.',
+)
+_STEPS = flags.DEFINE_integer(
+  'steps', 5_000_000, 'Control steps of each learner; 0 for --rounds.', 0
+)
+_EVAL_STEPS = flags.DEFINE_list(
+  'eval_steps', ['2000000', '5000000'], 'Steps after which to evaluate.'
+)
+_ROUNDS = flags.DEFINE_integer(
+  'rounds', 15, 'First iterations, after one, whose median is the speed.', 1
+)
+_SCALE_REWARDS = flags.DEFINE_bool(
+  'scale_rewards', True, 'Libraries get rewards times 1 - gamma; else raw.'
+)
+_OUT = flags.DEFINE_string('out', None, 'JSON file to write.')
+common.define_run_flags()
+
+_SHARED = ('--ppo_symmetry=none', '--noppo_privileged_critic')
+_EPISODES = 4  # As `evaluate` runs by default.
+_MICRO = 1e6
+
+Row = dict[str, Any]
+
+
+class Lap(NamedTuple):
+  """Seconds of one iteration: in all, of the update, of environment.step."""
+
+  total: float
+  update: float
+  environment: float
+
+
+class Result(NamedTuple):
+  """What was measured: rows of the tables, for printing and JSON."""
+
+  speed: list[Row]
+  learning: list[Row]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Candidate:
+  """What `scoring.Evaluator` asks of a policy."""
+
+  motions: tuple[reference.ReferenceMotion, ...]
+  codebook: codebook_lib.Codebook
+  select_action: evaluation_episodes.SelectAction
+  begin_episodes: Callable[[], None]
+
+
+class _Evaluator(scoring.Evaluator):
+  """Lets a policy that remembers know when episodes begin."""
+
+  policy: _Candidate
+
+  def run(
+    self, schedule: schedule_lib.ModeSchedule, label: str
+  ) -> evaluation_episodes.Episodes:
+    self.policy.begin_episodes()
+    return super().run(schedule, label)
+
+
+def drive(learner: learners.Learner) -> Lap:
+  """Runs one iteration."""
+  step = ((batched_env.BatchedImitation, 'step'),)
+  with (
+    learners.timing(learner.update) as update,
+    learners.timing(step) as environment,
+  ):
+    began = time.perf_counter()
+    learners.iterate(learner)
+    total = time.perf_counter() - began
+  return Lap(total, sum(update), sum(environment))
+
+
+def judge(learner: learners.Learner, config: setup.RunConfig) -> dict[str, Any]:
+  """Returns the report of `evaluate` on what has been learned."""
+  candidate = _Candidate(
+    learner.environment.motions,
+    learner.environment.codebook,
+    learner.select_action,
+    learner.begin_episodes,
+  )
+  evaluator = _Evaluator(
+    candidate, task_config.for_evaluation(config.task), config.seed
+  )
+  return scoring.report(evaluator, _EPISODES, clock_rate=1.0)
+
+
+def compare(
+  config: setup.RunConfig,
+  names: Sequence[str],
+  eval_steps: Sequence[int],
+  out: pathlib.Path | None,
+) -> Result:
+  """Trains all in turns; measures, evaluates and writes as it goes."""
+  contest = {
+    name: learners.make(name, config, _SCALE_REWARDS.value) for name in names
+  }
+  samples = config.num_worlds * config.ppo.rollout_length
+  rounds = max(1 + _ROUNDS.value, math.ceil(_STEPS.value / samples))
+  laps: dict[str, list[Lap]] = {name: [] for name in names}
+  due, result = list(eval_steps), Result([], [])
+  with tqdm.tqdm(total=rounds * len(names), unit='iteration') as bar:
+    for done in range(1, rounds + 1):
+      for name, learner in contest.items():
+        laps[name].append(drive(learner))
+        bar.update()
+      if done == 1 + _ROUNDS.value:
+        result = result._replace(speed=speeds(laps, samples))
+        _write(out, config, result)
+      while due and due[0] <= done * samples:
+        due.pop(0)
+        for name, learner in contest.items():
+          report = judge(learner, config)
+          row = _learned(name, done * samples, laps[name], report)
+          result.learning.append(row)
+          tqdm.tqdm.write(_line(row), sys.stderr)
+        _write(out, config, result)
+  return result
+
+
+def speeds(laps: Mapping[str, list[Lap]], samples: int) -> list[Row]:
+  """Returns medians over the rounds but the first, in which much is allocated.
+
+  Args:
+    laps: of every learner, in the same rounds.
+    samples: control steps of a lap.
+  """
+  measured = {name: np.array(mine[1:]).T for name, mine in laps.items()}
+  basis, *_ = measured.values()
+  rows = []
+  for name, (total, update, environment) in measured.items():
+    ratios = update / basis[1]
+    besides = total - environment
+    rows.append(
+      {
+        'name': name,
+        'steps_per_second': samples / float(np.median(total)),
+        'steps_per_second_ratio': float(np.median(basis[0] / total)),
+        'update_us_per_sample': _MICRO * float(np.median(update)) / samples,
+        'update_ratio': float(np.median(ratios)),
+        'update_ratio_range': [float(ratios.min()), float(ratios.max())],
+        'besides_us_per_sample': _MICRO * float(np.median(besides)) / samples,
+        'besides_ratio': float(np.median(besides / (basis[0] - basis[2]))),
+      }
+    )
+  return rows
+
+
+def _learned(
+  name: str, steps: int, laps: Sequence[Lap], report: Mapping[str, Any]
+) -> Row:
+  seconds = sum(lap.total for lap in laps)
+  kept = ('modes', 'transitions', 'survival_modes', 'survival_transitions')
+  return {
+    'name': name,
+    'steps': steps,
+    'seconds': seconds,
+    'steps_per_second': steps / seconds,
+    'mra_modes': report['mra_modes']['mean'],
+    'mra_transitions': report['mra_transitions']['mean'],
+    **{key: report[key] for key in kept},
+  }
+
+
+def _line(row: Row) -> str:
+  return (
+    f'{row["name"]:8}{row["steps"]:12,}{row["steps_per_second"]:9,.0f}'
+    f'{row["mra_modes"]:11.3f}{row["mra_transitions"]:13.3f}'
+    f'{row["survival_modes"]:11.3f}{row["survival_transitions"]:13.3f}'
+  )
+
+
+def _print(result: Result) -> None:
+  print(
+    f'{"":8}{"steps/s":>9}{"ratio":>7}{"update us":>11}{"ratio":>7}'
+    f'{"in the rounds":>16}{"besides us":>12}{"ratio":>7}'
+  )
+  for row in result.speed:
+    low, high = row['update_ratio_range']
+    print(
+      f'{row["name"]:8}{row["steps_per_second"]:9,.0f}'
+      f'{row["steps_per_second_ratio"]:7.2f}'
+      f'{row["update_us_per_sample"]:11.1f}{row["update_ratio"]:7.2f}'
+      f'{f"{low:.2f} to {high:.2f}":>16}'
+      f'{row["besides_us_per_sample"]:12.1f}{row["besides_ratio"]:7.2f}'
+    )
+  print('besides: all but environment.step; us: microseconds a sample')
+  if result.learning:
+    print(
+      f'\n{"":8}{"steps":>12}{"steps/s":>9}{"MRA modes":>11}'
+      f'{"transitions":>13}{"survival":>11}{"transitions":>13}'
+    )
+  for row in result.learning:
+    print(_line(row))
+
+
+def _write(
+  out: pathlib.Path | None, config: setup.RunConfig, result: Result
+) -> None:
+  report = {
+    'benchmark': 'learning',
+    **result._asdict(),
+    'rounds': _ROUNDS.value,
+    'scale_rewards': _SCALE_REWARDS.value,
+    'config': setup.to_dict(config),
+  }
+  packages = ('rsl-rl-lib', 'stable-baselines3', 'tensordict', 'gymnasium')
+  common.write_report(out, report, packages)
+
+
+def _eval_steps() -> list[int]:
+  """Returns --eval_steps in order; raises ValueError if they are of no use."""
+  try:
+    steps = sorted({int(item) for item in _EVAL_STEPS.value})
+  except ValueError as error:
+    raise ValueError(f'--eval_steps needs integers: {error}') from error
+  if steps and (steps[0] < 1 or steps[-1] > _STEPS.value):
+    raise ValueError(
+      f'--eval_steps={",".join(_EVAL_STEPS.value)} must be positive and within '
+      f'--steps={_STEPS.value}.'
+    )
+  return steps
+
+
+def main(argv: Sequence[str]) -> None:
+  """Measures, prints, writes."""
+  del argv
+  out = common.out_path(_OUT.value)
+  names, eval_steps = list(dict.fromkeys(_LEARNERS.value)), _eval_steps()
+  if not names:
+    raise ValueError(f'--learners: name some of {learners.NAMES}.')
+  config = common.run_config(
+    modes=_MODES.value,
+    seed=_SEED.value,
+    num_worlds=_NUM_WORLDS.value,
+    threads=_THREADS.value,
+  )
+  ppo = config.ppo
+  print(
+    f'{config.modes}, {config.num_worlds} worlds x {ppo.rollout_length} steps, '
+    f'{ppo.epochs} epochs x {ppo.minibatches} minibatches, {config.threads} '
+    f'threads on {common.CORES} cores, mujoco {mujoco.__version__}'
+  )
+  _print(compare(config, names, eval_steps, out))
+
+
+def cli() -> None:
+  """Runs with what all learners know, unless flags say otherwise."""
+  app.run(main, [sys.argv[0], *_SHARED, *sys.argv[1:]])
+
+
+if __name__ == '__main__':
+  cli()

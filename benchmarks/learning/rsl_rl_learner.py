@@ -1,0 +1,207 @@
+"""rsl_rl's PPO on BatchedImitation; needs the extra `bench`."""
+
+# Optional, and without type information of its own.
+# mypy: disable-error-code="import-not-found,import-untyped"
+
+import contextlib
+import io
+from typing import Any
+
+import numpy as np
+import torch
+
+from benchmarks.learning import learners
+from dmc_multimode.agents.ppo import config as ppo_config
+from dmc_multimode.agents.ppo import networks
+from dmc_multimode.suite.imitation import batched_env
+
+try:
+  from rsl_rl import algorithms
+  from rsl_rl import env as rsl_rl_env
+  from rsl_rl import models
+  from rsl_rl import modules
+  from rsl_rl import runners
+  import tensordict
+except ModuleNotFoundError as error:
+  raise learners.missing(error) from None
+
+_SEEN, _PRIVILEGED = 'policy', 'privileged'  # Groups of observations.
+_DEVICE = 'cpu'
+_ACTIVATIONS = {'silu': 'swish'}  # Where it has another name for one.
+_MAX_STD = 1e6  # Radians; none.
+
+
+class VecEnv(rsl_rl_env.VecEnv):
+  """The worlds of a batch behind rsl_rl's interface."""
+
+  def __init__(
+    self, environment: batched_env.BatchedImitation, reward_scale: float
+  ):
+    """Takes over an environment and resets it.
+
+    Args:
+      environment: B worlds that reset by themselves. Its observations may end
+        with privileged information, which then is a group of its own.
+      reward_scale: rewards are multiplied by it.
+    """
+    self._environment, self._scale = environment, reward_scale
+    size = environment.observation_spec().shape[0]
+    self._size = size - environment.privileged_size
+    self.num_envs = environment.num_worlds
+    self.num_actions = environment.action_spec().shape[0]
+    self.max_episode_length = environment.config.horizon
+    self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.int64)
+    self.device = _DEVICE
+    self.cfg: dict[str, Any] = {}
+    self._observation = environment.reset()
+
+  def get_observations(self) -> tensordict.TensorDict:
+    """Returns float32 [B, D], and what is privileged as [B, P]."""
+    seen = torch.from_numpy(self._observation)
+    groups = {_SEEN: seen[:, : self._size]}
+    if self._size < seen.shape[1]:
+      groups[_PRIVILEGED] = seen[:, self._size :]
+    return tensordict.TensorDict(groups, batch_size=[self.num_envs])
+
+  def step(
+    self, actions: torch.Tensor
+  ) -> tuple[tensordict.TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
+    """Applies actions [B, A]; see `rsl_rl.env.VecEnv.step`."""
+    step = self._environment.step(actions.numpy())
+    self._observation = step.observation
+    rewards = (self._scale * step.reward).astype(np.float32)
+    done = torch.from_numpy(step.last)
+    self.episode_length_buf += 1
+    self.episode_length_buf[done] = 0
+    time_outs = torch.from_numpy(step.last & (step.discount > 0))
+    return (
+      self.get_observations(),
+      torch.from_numpy(rewards),
+      done.long(),
+      {'time_outs': time_outs},
+    )
+
+
+def settings(
+  ppo: ppo_config.PPOConfig, groups: list[str], recurrent: bool = False
+) -> dict[str, Any]:
+  """Returns the runner's configuration.
+
+  Args:
+    ppo: our hyperparameters.
+    groups: of observations, the policy's first; the critic sees all.
+    recurrent: whether a GRU comes before each network.
+  """
+  network = {
+    'class_name': models.MLPModel,
+    'hidden_dims': list(ppo.hidden_sizes),
+    'activation': _ACTIVATIONS.get(ppo.activation, ppo.activation),
+    'obs_normalization': True,
+  }
+  if recurrent:
+    network |= {
+      'class_name': models.RNNModel,
+      'rnn_type': 'gru',
+      'rnn_hidden_dim': ppo.hidden_sizes[0],
+    }
+  distribution = {
+    'class_name': modules.GaussianDistribution,
+    'init_std': ppo.initial_std,
+    'std_range': (ppo.min_std, _MAX_STD),
+    'std_type': 'log',
+    'learn_std': ppo.learn_std,
+  }
+  algorithm = {
+    'class_name': algorithms.PPO,
+    'num_learning_epochs': ppo.epochs,
+    'num_mini_batches': ppo.minibatches,
+    'clip_param': ppo.clip,
+    'gamma': ppo.discount,
+    'lam': ppo.gae_lambda,
+    'value_loss_coef': learners.VALUE_COEFFICIENT,
+    'entropy_coef': ppo.entropy_coefficient,
+    'learning_rate': ppo.learning_rate,
+    'max_grad_norm': ppo.max_gradient_norm,
+    'schedule': 'adaptive' if ppo.target_kl else 'fixed',
+    'desired_kl': ppo.target_kl or None,
+  }
+  return {
+    'num_steps_per_env': ppo.rollout_length,
+    'obs_groups': {'actor': groups[:1], 'critic': groups},
+    'algorithm': algorithm,
+    'actor': {**network, 'distribution_cfg': distribution},
+    'critic': network,
+  }
+
+
+class Learner:
+  """See `learners.Learner`."""
+
+  threads = 1
+  update: learners.Methods = (
+    (algorithms.PPO, 'compute_returns'),
+    (algorithms.PPO, 'update'),
+  )
+  _recurrent = False
+
+  def __init__(
+    self,
+    environment: batched_env.BatchedImitation,
+    network: networks.ActorCritic,
+    ppo: ppo_config.PPOConfig,
+    seed: int,
+    reward_scale: float,
+  ):
+    """Learns in `environment`, from the weights of `network` on."""
+    self.environment = environment
+    worlds = VecEnv(environment, reward_scale)
+    groups = [str(name) for name in worlds.get_observations().keys()]
+    torch.manual_seed(seed)  # Of the exploration and the minibatches.
+    with contextlib.redirect_stdout(io.StringIO()):  # It prints its networks.
+      self.runner = runners.OnPolicyRunner(
+        worlds, settings(ppo, groups, self._recurrent), device=_DEVICE
+      )
+    if not self._recurrent:
+      learners.copy_linears(network.policy, self.runner.alg.actor)
+      learners.copy_linears(network.value, self.runner.alg.critic)
+
+  def begin_episodes(self) -> None:
+    """Has no memory."""
+
+  def iterate(self) -> None:
+    """See `learners.Learner`."""
+    self.runner.learn(1)
+
+  def select_action(self, observations: np.ndarray) -> np.ndarray:
+    """See `learners.Learner`."""
+    return _act(self.runner.get_inference_policy(), observations)
+
+
+class RecurrentLearner(Learner):
+  """The same with a GRU before each network."""
+
+  _recurrent = True
+  _memory: torch.Tensor | None = None
+
+  def begin_episodes(self) -> None:
+    """See `learners.Learner`."""
+    self._memory = None
+
+  def select_action(self, observations: np.ndarray) -> np.ndarray:
+    """See `learners.Learner`; within what `begin_episodes` began."""
+    actor = self.runner.get_inference_policy()
+    # Its own memory is of the episodes of the training, which go on.
+    of_training = actor.rnn.hidden_state
+    actor.rnn.hidden_state = self._memory
+    actions = _act(actor, observations)
+    self._memory = actor.rnn.hidden_state
+    actor.rnn.hidden_state = of_training
+    return actions
+
+
+@torch.no_grad()
+def _act(actor: Any, observations: np.ndarray) -> np.ndarray:
+  seen = tensordict.TensorDict(
+    {_SEEN: torch.from_numpy(observations)}, batch_size=[len(observations)]
+  )
+  return actor(seen).numpy()

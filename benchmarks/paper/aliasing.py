@@ -1,0 +1,96 @@
+"""How well a policy tells two modes apart: mode aliasing as a number.
+
+    python -m benchmarks.paper.aliasing --policy=pi2 --policy=pi2_one_hot \
+      --modes=walk_forward,leap_forward --out=aliasing.json
+
+The paper's Fig. mode_alias_colap_dphase, left: with one-hot commands walk and
+leap came out with much the same profile of the trunk's height. Separation is
+the root mean square of the difference of the two modes' heights at the same
+times after their starts, when settled, over that of their references: 1 where
+the modes differ as they should, 0 where they are one.
+"""
+
+import pathlib
+from typing import Any, Sequence
+
+from absl import flags
+import numpy as np
+
+from benchmarks import common
+from benchmarks.paper import height_profiles
+from dmc_multimode import pretrained
+from dmc_multimode.bin import app
+from dmc_multimode.evaluation import figures
+from dmc_multimode.utils import outputs
+
+_POLICY = flags.DEFINE_multi_string(
+  'policy', ['pi2', 'pi2_one_hot'], 'Shipped policies or folders.'
+)
+_MODES = flags.DEFINE_list(
+  'modes', ['walk_forward', 'leap_forward'], 'The two to tell apart.'
+)
+_EPISODES = flags.DEFINE_integer('episodes', 16, 'Of each mode.', 1)
+_SEED = flags.DEFINE_integer('seed', 0, 'Of the initial states.', 0)
+_OUT = flags.DEFINE_string('out', None, 'JSON file to write.')
+_FIGURES = flags.DEFINE_string('figures', None, 'Folder to draw into.')
+
+FIGURE_FILE = 'aliasing.png'
+
+
+def _draw(
+  found: dict[str, dict[str, np.ndarray]],
+  modes: Sequence[str],
+  timestep: float,
+) -> Any:
+  """Draws the profiles of every policy, and the references'."""
+  drawn, (axes,) = figures.empty(1, len(found), 5.0, 3.0)
+  for axis, (policy, heights) in zip(axes, found.items(), strict=True):
+    times = timestep * np.arange(1, heights['robot'].shape[1] + 1)
+    for i, mode in enumerate(modes):
+      axis.plot(times, heights['robot'][i], f'C{i}', label=mode)
+      axis.plot(times, heights['reference'][i], f'C{i}--', linewidth=0.8)
+    axis.set(title=policy, xlabel='time (s)')
+    axis.sharey(axes[0])
+  axes[0].set_ylabel('height of the trunk (m)')
+  axes[0].legend(fontsize='small')
+  return drawn
+
+
+def main(argv: Sequence[str]) -> None:
+  """Measures, prints, writes, draws."""
+  del argv
+  out = common.out_path(_OUT.value)
+  folder = outputs.folder('figures', _FIGURES.value)
+  if len(set(_MODES.value)) != 2 or len(_MODES.value) != 2:
+    raise ValueError('--modes must name two modes that differ.')
+  found, table, timestep = {}, {}, 0.0
+  print(f'{" / ".join(_MODES.value):40}{"separation":>12}')
+  for name in _POLICY.value:
+    policy = pretrained.load(name)
+    timestep = policy.config.control_timestep
+    found[name] = height_profiles.profiles(
+      policy, _MODES.value, _EPISODES.value, _SEED.value
+    )
+    table[name] = height_profiles.separation(found[name], timestep)
+    print(f'{name:40}{table[name]:12.3f}')
+  common.write_report(
+    out,
+    {
+      'benchmark': 'aliasing',
+      'separation': table,
+      'modes': _MODES.value,
+      'seed': _SEED.value,
+    },
+  )
+  if folder:
+    drawn = _draw(found, _MODES.value, timestep)
+    figures.save(pathlib.Path(folder) / FIGURE_FILE, drawn)
+
+
+def cli() -> None:
+  """Runs."""
+  app.run(main)
+
+
+if __name__ == '__main__':
+  cli()

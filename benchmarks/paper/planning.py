@@ -1,0 +1,222 @@
+"""How plans are found: the paper's tracks (Table III), and random ones.
+
+    python -m benchmarks.paper.planning --policy=pi2 --out=planning.json
+
+Every track of the paper is planned for from `--seeds` starts, which differ in
+the noise on joints, tilt and velocities; then `--random` tracks with a gap, a
+plateau and a block of random sizes in random order (`parkour`), from end to
+end. Seconds are from the first roll-out to the last; steps are control steps of
+all worlds together. The paper's times are its own, on another machine.
+
+Under `torchrun` in place of `python`, several processes share the tracks; each
+plans on its share of the cores, so that seconds grow and plans stay.
+"""
+
+import json
+import pathlib
+import statistics
+import sys
+from typing import Any, Sequence
+
+from absl import flags
+import mujoco
+import torch
+import tqdm
+
+from benchmarks import common
+from dmc_multimode import pretrained
+from dmc_multimode.agents import distributed
+from dmc_multimode.arenas import track
+from dmc_multimode.bin import app
+from dmc_multimode.experiments import ranks
+from dmc_multimode.planner import beam_search
+from dmc_multimode.planner import q_learning
+from dmc_multimode.planner import solver as planning
+from dmc_multimode.suite.reaching import problem as reaching
+
+_POLICY = flags.DEFINE_string(
+  'policy', 'pi2', 'Name of a shipped policy, or a folder.'
+)
+_PLANNERS = flags.DEFINE_list('planners', ['beam', 'q_learning'], 'Which.')
+_SEEDS = flags.DEFINE_integer('seeds', 5, 'Starts on each track.', 0)
+_RANDOM = flags.DEFINE_integer(
+  'random', 100, 'Random tracks, for the first planner alone.', 0
+)
+_BEAMS = flags.DEFINE_integer(
+  'beams', beam_search.BeamConfig().beams, 'Of the beam search.', 1
+)
+_OUT = flags.DEFINE_string('out', None, 'JSON file to write.')
+
+Row = dict[str, Any]
+
+
+def solve(
+  policy: pretrained.Policy,
+  name: str,
+  config: reaching.ReachingConfig,
+  planner: planning.PlannerConfig,
+  threads: int = 0,
+) -> Row:
+  """Returns what a planner finds on a track, with threads or all cores."""
+  make_arena = lambda: track.make(name)
+  solver = planning.Solver(policy, make_arena, config, planner, threads)
+  found = solver.solve()
+  return {
+    'track': name,
+    'seed': config.seed,
+    'planner': 'beam'
+    if isinstance(planner, beam_search.BeamConfig)
+    else ('q_learning'),
+    'success': found.success,
+    'return': found.episode_return,
+    'solve_seconds': found.solve_seconds,
+    'control_steps': found.control_steps,
+    'goal': list(config.goal),
+    'final_position': found.final_position.tolist(),
+    'plan': list(found.plan.modes),
+  }
+
+
+def summary(rows: Sequence[Row]) -> Row:
+  """Returns the row of the table for plans of one track and planner."""
+  median = lambda key: float(statistics.median(row[key] for row in rows))
+  seconds = sum(row['solve_seconds'] for row in rows)
+  steps = sum(row['control_steps'] for row in rows)
+  return {
+    'track': rows[0]['track'],
+    'planner': rows[0]['planner'],
+    'solved': sum(row['success'] for row in rows),
+    'of': len(rows),
+    'return': median('return'),
+    'solve_seconds': median('solve_seconds'),
+    'steps_per_second': steps / seconds,
+    'paper_seconds': (
+      reaching.PROBLEMS[rows[0]['track']].paper_seconds
+      if rows[0]['track'] in reaching.PROBLEMS
+      else None
+    ),
+  }
+
+
+def _line(row: Row) -> str:
+  paper = row['paper_seconds']
+  solved = f'{row["solved"]} of {row["of"]}'
+  return (
+    f'{row["track"]:12}{row["planner"]:12}{solved:>12}{row["return"]:9.1f}'
+    f'{row["solve_seconds"]:9.2f}{row["steps_per_second"]:10.0f}'
+    f'{"" if paper is None else format(paper, ".0f"):>9}'
+  )
+
+
+def _planners() -> dict[str, planning.PlannerConfig]:
+  """Returns --planners; raises ValueError if one is unknown."""
+  known: dict[str, planning.PlannerConfig] = {
+    'beam': beam_search.BeamConfig(_BEAMS.value),
+    'q_learning': q_learning.QLearningConfig(),
+  }
+  for name in _PLANNERS.value:
+    if name not in known:
+      raise ValueError(
+        f'--planners: {name!r} is not one of {", ".join(known)}.'
+      )
+  return {name: known[name] for name in _PLANNERS.value}
+
+
+def _cases() -> list[
+  tuple[str, reaching.ReachingConfig, planning.PlannerConfig]
+]:
+  """Returns track, problem and planner of every plan to be found."""
+  planners = list(_planners().values())
+  cases = [
+    (name, wanted.config(seed), planner)
+    for planner in planners
+    for name, wanted in reaching.PROBLEMS.items()
+    for seed in range(_SEEDS.value)
+  ]
+  for seed in range(_RANDOM.value):
+    cases.append(
+      (reaching.RANDOM_TRACK, reaching.random_problem(seed), planners[0])
+    )
+  return cases
+
+
+def _write(out: pathlib.Path | None, rows: Sequence[Row]) -> None:
+  report = {
+    'benchmark': 'planning',
+    'table': [summary(group) for group in _groups(rows)],
+    'plans': list(rows),
+    'policy': _POLICY.value,
+    'beams': _BEAMS.value,
+  }
+  common.write_report(out, report)
+
+
+def _groups(rows: Sequence[Row]) -> list[list[Row]]:
+  groups: dict[tuple[str, str], list[Row]] = {}
+  for row in rows:
+    groups.setdefault((row['track'], row['planner']), []).append(row)
+  return list(groups.values())
+
+
+def _of_all_ranks(
+  communicator: distributed.Communicator, mine: Sequence[Row]
+) -> list[Row]:
+  """Returns the rows of all cases in order at rank 0, and none elsewhere."""
+  parts = communicator.collect(json.dumps(mine).encode())
+  rows = [json.loads(part) for part in parts]
+  count = sum(len(part) for part in rows)
+  return [rows[i % len(rows)][i // len(rows)] for i in range(count)]
+
+
+def _plan(communicator: distributed.Communicator) -> None:
+  """Plans for every rank's share of the cases; rank 0 prints and writes."""
+  out, cases = common.out_path(_OUT.value), _cases()
+  policy = pretrained.load(_POLICY.value)
+  torch.set_num_threads(1)  # As `plan` does.
+  is_first, is_alone = communicator.rank == 0, communicator.size == 1
+  threads = 0 if is_alone else distributed.local_cores()
+  if is_first:
+    print(f'{_POLICY.value}, {common.CORES} cores, mujoco {mujoco.__version__}')
+  rows: list[Row] = []
+  mine = cases[communicator.rank :: communicator.size]
+  for name, config, planner in tqdm.tqdm(
+    mine, unit='plan', disable=not is_first
+  ):
+    rows.append(solve(policy, name, config, planner, threads))
+    if not rows[-1]['success']:
+      x, _, z = rows[-1]['final_position']
+      tqdm.tqdm.write(
+        f'{name} {config.seed}: not solved, x = {x:.2f} of '
+        f'{config.goal[0]:.2f}, z = {z:.2f} m',
+        sys.stderr,
+      )
+    if is_alone:
+      _write(out, rows)
+  rows = _of_all_ranks(communicator, rows)
+  if is_first:
+    _write(out, rows)
+    _print(rows)
+
+
+def _print(rows: Sequence[Row]) -> None:
+  print(
+    f'{"track":12}{"planner":12}{"solved":>12}{"return":>9}{"seconds":>9}'
+    f'{"steps/s":>10}{"paper s":>9}'
+  )
+  for group in _groups(rows):
+    print(_line(summary(group)))
+
+
+def main(argv: Sequence[str]) -> int:
+  """Plans, prints, writes, with the other ranks if there are any."""
+  del argv
+  return ranks.run(_plan)
+
+
+def cli() -> None:
+  """Runs."""
+  app.run(main)
+
+
+if __name__ == '__main__':
+  cli()

@@ -1,0 +1,231 @@
+"""Is the physics sane? Energy, torques, and feet in the ground.
+
+    python -m benchmarks.reliability.fault_physics
+
+- A robot without torques that is dropped never has more energy (kinetic and
+  potential, of gravity) than it began with. Contacts are springs, whose energy
+  MuJoCo does not count: while they push the robot off, what is counted rises
+  again, and that is shown, too.
+- On every arena, 10,000 control steps of random actions: the largest torque of
+  a servo, and how deep a corner of a foot ever was in a box of the ground.
+  Episodes end as they do in the task. `full` actions are uniform over the range
+  of the servos, half a turn to either side, which asks for all of their torque
+  all of the time and whips the feet about at 60 rad/s; `standing` ones are
+  normal around standing with 0.2 rad, about what a training begins with;
+  `policy` is the shipped pi2 with the noise that it explored with at its end.
+"""
+
+import itertools
+from typing import Any, Callable, NamedTuple
+
+import mujoco
+import numpy as np
+
+from dmc_multimode import pretrained
+from dmc_multimode.arenas import layouts
+from dmc_multimode.arenas import terrain as terrain_lib
+from dmc_multimode.arenas import track
+from dmc_multimode.modes import library
+from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite.imitation import batched_env
+from dmc_multimode.suite.imitation import composer_task
+from dmc_multimode.suite.imitation import config as task_config
+
+FULL, STANDING, POLICY = ACTIONS = ('full', 'standing', 'policy')
+USERS_TIMESTEP = 0.005  # Seconds; the default of the task.
+TRAINING_TIMESTEP = 0.01
+_POLICY = 'pi2'
+_STANDING_STD = 0.2  # Radians.
+_SEGMENTS = 4  # Of a flat arena, for the steps that modes call for.
+_CORNERS = np.array(
+  [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+)
+
+
+class Drop(NamedTuple):
+  """A passive drop.
+
+  Attributes:
+    start: energy at first, joules over that of the robot at rest on the ground.
+    excess: most energy over that at first, joules; negative if it only falls.
+    rebound: most energy over the least before, joules.
+  """
+
+  start: float
+  excess: float
+  rebound: float
+
+
+class Bodies(NamedTuple):
+  """What random actions led to.
+
+  Attributes:
+    steps: control steps.
+    episodes: that ended in them.
+    diverged: of these, because the physics did.
+    torque: largest of a servo, Nm.
+    depth: of the deepest corner of a foot in the ground, metres, each step's
+      and world's with a foot in it, [N].
+  """
+
+  steps: int
+  episodes: int
+  diverged: int
+  torque: float
+  depth: np.ndarray
+
+
+def _task(arena: str, timestep: float) -> composer_task.Imitation:
+  made = track.make(arena, _SEGMENTS) if arena == 'flat' else track.make(arena)
+  policy = pretrained.load(_POLICY)
+  return multimode_biped.make_task(
+    policy.motions,
+    policy.codebook,
+    arena=made,
+    config=task_config.ImitationConfig(physics_timestep=timestep),
+  )
+
+
+def drop(timestep: float, seed: int, height: float = 0.5) -> Drop:
+  """Drops a robot without torques, turned and bent at random.
+
+  Args:
+    timestep: of the physics, seconds.
+    seed: of its pose.
+    height: over its crouch, metres.
+  """
+  spec = batched_env.make_spec(_task('flat', timestep))
+  ground = spec.geom('segment_0')
+  ground.size = [20.0, *ground.size[1:]]
+  model = spec.compile()
+  model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
+  model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
+  data, random = mujoco.MjData(model), np.random.RandomState(seed)
+  data.mocap_pos[0] = [0.0, 0.0, -terrain_lib.BOX_THICKNESS / 2]
+  data.qpos[2] = library.STAND_HEIGHT + height
+  data.qpos[3:7] = random.standard_normal(4)
+  data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
+  data.qpos[7:] = random.uniform(-0.2, 0.2, model.nq - 7)
+  energies = []
+  for _ in range(round(3.0 / timestep)):
+    mujoco.mj_step(model, data)
+    energies.append(float(data.energy.sum()))
+  values = np.array(energies)
+  least = np.minimum.accumulate(values)
+  return Drop(
+    values[0] - values[-1],
+    float((values - values[0]).max()),
+    float((values - least).max()),
+  )
+
+
+def _depths(
+  worlds: batched_env.BatchedImitation,
+  terrain: terrain_lib.Terrain,
+  feet: list[int],
+  bind: Any,
+) -> np.ndarray:
+  """Returns how deep the deepest corner of a foot is in a box, metres, [B]."""
+  halves = worlds.model.geom_size[feet]
+  offsets = _CORNERS[None] * halves[:, None]  # [2, 8, 3]
+  rotation = bind['xmat'][:, feet].reshape(-1, len(feet), 3, 3)
+  corners = np.einsum('bfij,fcj->bfci', rotation, offsets)
+  corners += bind['xpos'][:, feet, None]
+  corners = corners.reshape(len(rotation), -1, 3)
+  centres, boxes = terrain_lib.boxes(terrain)
+  # Of a point in a box: to the nearest of the faces that it can have come by.
+  inside = boxes[:, None] - np.abs(corners[:, :, None] - centres[:, None])
+  top = (centres + boxes)[:, None, :, 2] - corners[:, :, None, 2]
+  depth = np.minimum(np.minimum(inside[..., 0], inside[..., 1]), top)
+  depth = np.where((inside > 0).all(axis=-1), depth, 0.0)
+  return depth.max(axis=(1, 2))
+
+
+def _actor(
+  actions: str, worlds: batched_env.BatchedImitation, seed: int
+) -> Callable[[np.ndarray], np.ndarray]:
+  """Returns what maps observations [B, D] to actions [B, 10]; see above."""
+  spec, random = worlds.action_spec(), np.random.RandomState(seed)
+  shape = (worlds.num_worlds, *spec.shape)
+  if actions == FULL:
+    return lambda _: random.uniform(spec.minimum, spec.maximum, shape)
+  noise = lambda std: std * random.standard_normal(shape)
+  if actions == STANDING:
+    return lambda _: worlds.standing_action() + noise(_STANDING_STD)
+  policy = pretrained.load(_POLICY)
+  std = policy.network.std.detach().numpy()
+  return lambda seen: policy.select_action(seen) + noise(std)
+
+
+def random_actions(
+  arena: str,
+  timestep: float,
+  actions: str,
+  steps: int = 10_000,
+  num_worlds: int = 100,
+  seed: int = 0,
+) -> Bodies:
+  """Acts at random on an arena.
+
+  Args:
+    arena: its name.
+    timestep: of the physics, seconds.
+    actions: FULL, STANDING or POLICY.
+    steps: control steps of all worlds together.
+    num_worlds: stepped together.
+    seed: of actions and episodes.
+  """
+  task = _task(arena, timestep)
+  worlds = batched_env.BatchedImitation(task, num_worlds, seed, 1)
+  names = {name: f'geom_{name}' for name in ('xpos', 'xmat')}
+  bind = {key: worlds.batch.bind(name) for key, name in names.items()}
+  force = worlds.batch.bind('actuator_force')
+  feet = [worlds.model.geom(f'walker/{s}_foot').id for s in ('left', 'right')]
+  act, seen = _actor(actions, worlds, seed), worlds.reset()
+  torque, depths, episodes, diverged = 0.0, [], 0, 0
+  for _ in range(-(-steps // num_worlds)):
+    before = terrain_lib.Terrain(*(x.copy() for x in worlds.core.terrain))
+    step = worlds.step(act(seen))
+    seen = step.observation
+    invalid = step.results.causes == worlds.invalid_cause
+    episodes, diverged = episodes + len(invalid), diverged + int(invalid.sum())
+    # What began anew was put somewhere, and not there by the physics.
+    mine = np.flatnonzero(~step.last)
+    torque = max(torque, float(np.abs(force[mine]).max(initial=0.0)))
+    found = _depths(worlds, before, feet, bind)[mine]
+    depths.append(found[found > 0])
+  count = num_worlds * -(-steps // num_worlds)
+  return Bodies(count, episodes, diverged, torque, np.concatenate(depths))
+
+
+def main() -> None:
+  """Prints both tables."""
+  print('timestep ms   drops   energy J   most over it   most rebound')
+  for timestep in (USERS_TIMESTEP, TRAINING_TIMESTEP):
+    drops = [drop(timestep, seed) for seed in range(20)]
+    print(
+      f'{1e3 * timestep:11g}{len(drops):8}'
+      f'{np.mean([d.start for d in drops]):11.1f}'
+      f'{max(d.excess for d in drops):15.4f}'
+      f'{max(d.rebound for d in drops):15.4f}'
+    )
+  print(
+    'actions   timestep ms  arena       steps  episodes  diverged  torque Nm  '
+    'deepest mm  median mm  over 10 mm'
+  )
+  cases = itertools.product(
+    ACTIONS, (USERS_TIMESTEP, TRAINING_TIMESTEP), layouts.NAMES
+  )
+  for actions, timestep, arena in cases:
+    found = random_actions(arena, timestep, actions)
+    depth = 1e3 * np.append(found.depth, 0.0)
+    print(
+      f'{actions:10}{1e3 * timestep:11g}  {arena:10}{found.steps:7,}'
+      f'{found.episodes:10,}{found.diverged:10}{found.torque:11.3f}'
+      f'{depth.max():12.2f}{np.median(depth):11.2f}{(depth > 10).sum():12,}',
+      flush=True,
+    )
+
+
+if __name__ == '__main__':
+  main()

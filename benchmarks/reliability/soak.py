@@ -1,0 +1,265 @@
+"""Long runs of what users run: does memory stay flat, does anybody complain?
+
+    python -m benchmarks.reliability.soak --out=soak.json
+
+Three parts, each of which a 0 leaves out:
+
+- `--steps` control steps of BatchedImitation on random parkour tracks, a new
+  one in each episode, under a shipped policy and Algorithm 1;
+- `--minutes` of the Composer task under the same policy, episode by episode;
+- `--recordings` videos, one after the other, in one process.
+
+Memory is the process's resident set, read along the way; it has grown by what
+its median in the last fifth of the part is over that in the second fifth (the
+first one warms up), which may be `--most_growth` MiB. Warnings are Python's and
+MuJoCo's. OpenGL contexts are counted by asking the garbage collector; file
+descriptors and threads, of which the drawing library has its own, by the
+system. Ends with 3 where something grew or warned.
+"""
+
+import contextlib
+import gc
+import io
+import os
+import pathlib
+import tempfile
+import time
+from typing import Any, Callable, Iterator, Sequence
+import warnings
+
+from absl import flags
+import mujoco
+import numpy as np
+import torch
+import tqdm
+
+from dmc_multimode.bin import app
+from dmc_multimode.viewer import gl
+
+_POLICY = flags.DEFINE_string(
+  'policy', 'pi2', 'Name of a shipped policy, or a folder.'
+)
+_STEPS = flags.DEFINE_integer(
+  'steps', 1_000_000, 'Control steps of all worlds together.', 0
+)
+_NUM_WORLDS = flags.DEFINE_integer(
+  'num_worlds', 512, 'Worlds that are stepped together.', 1
+)
+_THREADS = flags.DEFINE_integer(
+  'threads', len(os.sched_getaffinity(0)), 'Of the physics.', lower_bound=1
+)
+_MINUTES = flags.DEFINE_float('minutes', 10.0, 'Of the Composer task.', 0.0)
+_RECORDINGS = flags.DEFINE_integer('recordings', 200, 'Videos.', 0)
+_MOST_GROWTH = flags.DEFINE_float('most_growth', 8.0, 'MiB in a part.', 0.0)
+_SEED = flags.DEFINE_integer('seed', 0, 'Of everything.', 0)
+_OUT = flags.DEFINE_string('out', None, 'JSON file to write.')
+
+_MIB = 1 << 20
+_LOOKS = 50  # At the memory, in a part.
+_SIZE = 64  # Pixels of a recording.
+
+Row = dict[str, Any]
+
+
+class _Watch:
+  """Looks at memory and listens to warnings while something runs."""
+
+  def __init__(self) -> None:
+    self.memory: list[float] = []
+    self.warnings: list[str] = []
+
+  @contextlib.contextmanager
+  def listening(self) -> Iterator[None]:
+    """Collects the warnings of Python and of MuJoCo."""
+    mujoco.set_mju_user_warning(self.warnings.append)
+    try:
+      with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter('always')
+        yield
+      self.warnings += [f'{w.category.__name__}: {w.message}' for w in caught]
+    finally:
+      mujoco.set_mju_user_warning(None)
+
+  def look(self) -> None:
+    """Notes the resident set, MiB."""
+    gc.collect()
+    with open('/proc/self/statm', encoding='ascii') as file:
+      pages = int(file.read().split()[1])
+    self.memory.append(pages * os.sysconf('SC_PAGE_SIZE') / _MIB)
+
+  def row(self, name: str, amount: str, seconds: float) -> Row:
+    """Returns what was seen."""
+    fifth = max(len(self.memory) // 5, 1)
+    early = float(np.median(self.memory[fifth : 2 * fifth]))
+    late = float(np.median(self.memory[-fifth:]))
+    return {
+      'part': name,
+      'amount': amount,
+      'seconds': seconds,
+      'memory_early': early,
+      'memory_late': late,
+      'growth': late - early,
+      'warnings': len(self.warnings),
+      'first_warnings': self.warnings[:5],
+      'descriptors': len(os.listdir('/proc/self/fd')),
+      'threads': len(os.listdir('/proc/self/task')),
+      'contexts': sum(
+        type(found) is mujoco.MjrContext for found in gc.get_objects()
+      ),
+    }
+
+
+def _run(name: str, total: float, advance: Callable[[], float]) -> Row:
+  """Advances until `total` is reached; returns the row of the table."""
+  watch, done, began = _Watch(), 0.0, time.monotonic()
+  looks = 0
+  with watch.listening(), tqdm.tqdm(total=total, desc=name) as bar:
+    while done < total:
+      step = advance()
+      done += step
+      bar.update(min(step, total - bar.n))
+      if done * _LOOKS >= looks * total:
+        watch.look()
+        looks += 1
+  seconds = time.monotonic() - began
+  return watch.row(name, f'{done:,.0f}', seconds)
+
+
+def soak_worlds() -> Row:
+  """Steps BatchedImitation on random tracks."""
+  from dmc_multimode import pretrained
+  from dmc_multimode.suite import multimode_biped
+  from dmc_multimode.suite.imitation import batched_env
+
+  policy = pretrained.load(_POLICY.value)
+  worlds = batched_env.BatchedImitation(
+    multimode_biped.make_task(
+      policy.motions, policy.codebook, arena='parkour', config=policy.config
+    ),
+    _NUM_WORLDS.value,
+    _SEED.value,
+    _THREADS.value,
+  )
+  seen = [worlds.reset()]
+
+  def advance() -> float:
+    seen[0] = worlds.step(policy.select_action(seen[0])).observation
+    return float(worlds.num_worlds)
+
+  return _run('BatchedImitation, steps', _STEPS.value, advance)
+
+
+def soak_composer() -> Row:
+  """Steps the Composer task for so many minutes."""
+  from dmc_multimode import pretrained
+  from dmc_multimode.suite import multimode_biped
+
+  policy = pretrained.load(_POLICY.value)
+  task = multimode_biped.make_task(
+    policy.motions, policy.codebook, config=policy.config
+  )
+  environment = multimode_biped.make_environment(task, random=_SEED.value)
+  now = [time.monotonic()]
+  timestep = [environment.reset()]
+
+  def advance() -> float:
+    if timestep[0].last():
+      timestep[0] = environment.reset()
+    action = policy.actor.select_action(timestep[0].observation)
+    timestep[0] = environment.step(action)
+    before, now[0] = now[0], time.monotonic()
+    return now[0] - before
+
+  return _run('Composer, seconds', 60 * _MINUTES.value, advance)
+
+
+def soak_recordings() -> Row:
+  """Makes one video after the other."""
+  from dmc_multimode import pretrained
+  from dmc_multimode.viewer import recording
+  from dmc_multimode.viewer import rollout
+
+  policy = pretrained.load(_POLICY.value)
+  what = rollout.RolloutConfig((policy.codebook.names[0],), (0.12,))
+  config = recording.RecordingConfig(width=_SIZE, height=_SIZE)
+  with tempfile.TemporaryDirectory() as folder:
+    out = pathlib.Path(folder) / 'video.mp4'
+
+    def advance() -> float:
+      quiet = io.StringIO()
+      with contextlib.redirect_stdout(quiet), contextlib.redirect_stderr(quiet):
+        recording.record(policy, what, config, out)
+      if not out.stat().st_size:
+        raise ValueError('An empty video.')
+      out.unlink()
+      return 1.0
+
+    return _run('recordings', _RECORDINGS.value, advance)
+
+
+def _problems(rows: Sequence[Row]) -> list[str]:
+  """Returns what must not be, a line each."""
+  found = []
+  for row in rows:
+    if row['growth'] > _MOST_GROWTH.value:
+      found.append(f'{row["part"]}: memory grew by {row["growth"]:.1f} MiB.')
+    found += [f'{row["part"]}: {text}' for text in row['first_warnings']]
+    if row['contexts'] > 1:
+      found.append(f'{row["part"]}: {row["contexts"]} contexts are left.')
+  return found
+
+
+def _print(rows: Sequence[Row]) -> None:
+  print(
+    f'{"part":26}{"done":>12}{"seconds":>9}{"MiB early":>11}{"late":>8}'
+    f'{"growth":>8}{"warnings":>10}{"files":>7}{"threads":>9}{"contexts":>10}'
+  )
+  for row in rows:
+    print(
+      f'{row["part"]:26}{row["amount"]:>12}{row["seconds"]:9.0f}'
+      f'{row["memory_early"]:11.1f}{row["memory_late"]:8.1f}'
+      f'{row["growth"]:8.1f}{row["warnings"]:10}{row["descriptors"]:7}'
+      f'{row["threads"]:9}{row["contexts"]:10}'
+    )
+
+
+def main(argv: Sequence[str]) -> int:
+  """Runs the parts, prints, writes."""
+  del argv
+  if _RECORDINGS.value:
+    gl.choose_backend()  # Before anything imports dm_control, as this does:
+  from benchmarks import common
+
+  out = common.out_path(_OUT.value)
+  torch.set_num_threads(1)
+  parts = (
+    (_STEPS.value, soak_worlds),
+    (_MINUTES.value, soak_composer),
+    (_RECORDINGS.value, soak_recordings),
+  )
+  rows = [part() for wanted, part in parts if wanted]
+  _print(rows)
+  problems = _problems(rows)
+  print('\n'.join(problems) or 'Nothing grew, nothing warned.')
+  common.write_report(
+    out,
+    {
+      'benchmark': 'soak',
+      'table': rows,
+      'problems': problems,
+      'policy': _POLICY.value,
+      'num_worlds': _NUM_WORLDS.value,
+      'threads': _THREADS.value,
+      'seed': _SEED.value,
+    },
+  )
+  return app.EXIT_UNSOLVED if problems else 0
+
+
+def cli() -> None:
+  """Runs."""
+  app.run(main)
+
+
+if __name__ == '__main__':
+  cli()

@@ -1,0 +1,361 @@
+"""The training loop: collect, learn, log, checkpoint."""
+
+import dataclasses
+import math
+import time
+from typing import Any, Callable, Mapping
+
+import numpy as np
+import torch
+
+from dmc_multimode.agents import checkpointing
+from dmc_multimode.agents import core as agents_core
+from dmc_multimode.agents import distributed
+from dmc_multimode.agents import loggers
+from dmc_multimode.agents.ppo import acting
+from dmc_multimode.agents.ppo import learning
+
+_MOST_DIVERGED = 0.001  # Share of control steps.
+_WINDOW = 20_000  # Control steps, at least, of which that is the share.
+_TRACKED = ('returns', 'survival', 'seen')
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainingConfig:
+  """How long to train and how often to report.
+
+  Attributes:
+    steps: control steps of all worlds together.
+    minutes: wall-clock time of this process after which it stops.
+    log_every: iterations between rows in the logs.
+    checkpoint_seconds: most time between two checkpoints.
+    keep_every: control steps between policies that are kept for good; 0 keeps
+      none but the last.
+  """
+
+  steps: int = 12_000_000
+  minutes: float = math.inf
+  log_every: int = 5
+  checkpoint_seconds: float = 60.0
+  keep_every: int = 0
+
+  def __post_init__(self) -> None:
+    if self.keep_every < 0:
+      raise ValueError(
+        f'keep_every must not be negative, got {self.keep_every}.'
+      )
+    for name in ('steps', 'minutes', 'log_every', 'checkpoint_seconds'):
+      if not getattr(self, name) > 0:
+        raise ValueError(f'{name} must be positive, got {getattr(self, name)}.')
+
+
+class ReturnTracker:
+  """Running means of normalised return and survival, per transition."""
+
+  _MEMORY = 0.98  # A mean follows about the last 50 episodes.
+
+  def __init__(self, num_modes: int):
+    """Starts at zero, with nothing seen."""
+    self.returns = np.zeros((num_modes, num_modes))
+    self.survival = np.zeros((num_modes, num_modes))
+    self.seen = np.zeros((num_modes, num_modes))
+
+  def update(self, results: agents_core.FinishedEpisodes) -> None:
+    """Takes in finished episodes, in order."""
+    for i, f, value, cause in zip(
+      results.initial,
+      results.final,
+      results.returns,
+      results.causes,
+      strict=True,
+    ):
+      self.seen[i, f] += 1
+      rate = max(1 - self._MEMORY, 1 / self.seen[i, f])
+      self.returns[i, f] += rate * (value - self.returns[i, f])
+      self.survival[i, f] += rate * ((cause == 0) - self.survival[i, f])
+
+  def summary(self, names: tuple[str, ...]) -> dict[str, float]:
+    """Returns MRA, survival, and both per mode and transition."""
+    diagonal = np.diagonal(self.returns)
+    result = {
+      'mra_modes': float(diagonal.mean()),
+      'mra_transitions': float(self.returns.mean()),
+      'survival': float(self.survival.mean()),
+      'worst_transition': float(self.returns.min()),
+    }
+    for i, name in enumerate(names):
+      result[f'return/{name}'] = float(self.returns[i, i])
+      result[f'survival/{name}'] = float(self.survival[i, i])
+    for i, first in enumerate(names):
+      for f, second in enumerate(names):
+        if i != f:
+          key = f'{first}->{second}'
+          result[f'return/{key}'] = float(self.returns[i, f])
+          result[f'survival/{key}'] = float(self.survival[i, f])
+    return result
+
+
+@dataclasses.dataclass
+class _Episodes:
+  """See `environment.FinishedEpisodes`."""
+
+  initial: np.ndarray
+  final: np.ndarray
+  returns: np.ndarray
+  causes: np.ndarray
+
+
+class TrainingLoop:
+  """Collects rollouts in all worlds, learns from them, over and over.
+
+  Where several ranks train together, each has some of the worlds. They agree on
+  when to stop and to save, and `run`, `state` and `restore` are collective.
+  """
+
+  def __init__(
+    self,
+    environment: agents_core.TrainingEnvironment,
+    actor: acting.BatchedActor,
+    learner: learning.PPOLearner,
+    rollout_length: int,
+    mode_names: tuple[str, ...],
+    probabilities: Callable[[], Mapping[str, float]],
+    communicator: distributed.Communicator = distributed.LOCAL,
+  ):
+    """Connects the parts and resets the environment.
+
+    Args:
+      environment: B worlds, those of this rank.
+      actor: explores in them.
+      learner: updates the actor's network.
+      rollout_length: control steps a world and iteration.
+      mode_names: of the modes that episodes are about, for the logs.
+      probabilities: what is sampled how often, for the logs.
+      communicator: connects the ranks that train together.
+    """
+    self._environment = environment
+    self._actor, self._learner = actor, learner
+    self._length = rollout_length
+    self._names = mode_names
+    self._probabilities = probabilities
+    self._communicator = communicator
+    self._returns = ReturnTracker(len(mode_names))
+    self.steps = self.iterations = 0
+    self._diverged = 0  # Worlds, by now.
+    self._window = np.zeros(2, dtype=np.int64)  # Worlds that diverged, steps.
+    self._observation = torch.from_numpy(environment.reset())
+    self._buffers = self._allocate()
+
+  def _allocate(self) -> learning.Rollouts:
+    shape = (self._length, self._environment.num_worlds)
+    size = self._environment.observation_spec().shape[0]
+    actions = self._environment.action_spec().shape[0]
+    return learning.Rollouts(
+      observations=torch.zeros(*shape, size),
+      actions=torch.zeros(*shape, actions),
+      log_probs=torch.zeros(shape),
+      means=torch.zeros(*shape, actions),
+      rewards=torch.zeros(shape),
+      discounts=torch.zeros(shape),
+      last=torch.zeros(shape, dtype=torch.bool),
+      next_observations=torch.zeros(*shape, size),
+    )
+
+  def _collect(self) -> None:
+    """Fills the buffers with one rollout of every world."""
+    data, seen = self._buffers, self._observation
+    finished = []
+    for t in range(self._length):
+      sample = self._actor.sample(seen, self.steps)
+      step = self._environment.step(sample.action.numpy())
+      data.observations[t], data.actions[t] = seen, sample.action
+      data.log_probs[t], data.means[t] = sample.log_prob, sample.mean
+      data.rewards[t] = torch.from_numpy(step.reward)
+      data.discounts[t] = torch.from_numpy(step.discount)
+      data.last[t] = torch.from_numpy(step.last)
+      seen = torch.from_numpy(step.observation)
+      data.next_observations[t] = seen
+      # What a terminated world saw last is worth nothing and, where the
+      # physics diverged, not finite.
+      worlds = step.results.worlds
+      timed_out = step.discount[worlds] > 0
+      data.next_observations[t, torch.from_numpy(worlds[timed_out])] = (
+        torch.from_numpy(step.final_observation[timed_out])
+      )
+      finished.append(_table(t, step.results))
+    self._observation = seen
+    worlds_in_all = self._environment.num_worlds * self._communicator.size
+    self.steps += self._length * worlds_in_all
+    self.iterations += 1
+    self._learn_from_episodes(
+      np.concatenate(finished), self._length * worlds_in_all
+    )
+
+  def _learn_from_episodes(self, mine: np.ndarray, steps: int) -> None:
+    """Tells what the episodes of all ranks have come to.
+
+    Args:
+      mine: episodes of this rank, see `_table`.
+      steps: control steps of all ranks in which they ended.
+    """
+    table = self._communicator.gather(torch.from_numpy(mine)).numpy()
+    # As if one rank had all worlds: by time first.
+    table = table[np.argsort(table[:, 0], kind='stable')]
+    initial, final, causes = table[:, 1:4].T.astype(np.int64)
+    self._count_diverged(causes, steps)
+    episodes = _Episodes(initial, final, table[:, 4], causes)
+    self._returns.update(episodes)
+    if self._communicator.size > 1:
+      self._environment.learn(initial, final, table[:, 4], causes == 0)
+
+  def _count_diverged(self, causes: np.ndarray, steps: int) -> None:
+    """Counts the worlds that diverged, which have begun anew by themselves.
+
+    Args:
+      causes: of the ends of episodes.
+      steps: control steps in which these were.
+
+    Raises:
+      FloatingPointError: there are too many: more than `_MOST_DIVERGED` of the
+        control steps since the last window ended, which it does as soon as it
+        has `_WINDOW` steps, or of a whole one before it has.
+    """
+    diverged = int(np.sum(causes == self._environment.invalid_cause))
+    self._diverged += diverged
+    self._window += diverged, steps
+    count, length = self._window.tolist()
+    if count > _MOST_DIVERGED * max(length, _WINDOW):
+      raise FloatingPointError(
+        f'The physics of {count} worlds diverged in {length:,} control steps; '
+        f'{_MOST_DIVERGED:.1%} of {max(length, _WINDOW):,} is the most. The '
+        'last checkpoint is unharmed: resume from it; if it recurs, start anew '
+        'with a shorter physics_timestep or a lower learning rate.'
+      )
+    if length >= _WINDOW:
+      self._window[:] = 0
+
+  def run(
+    self,
+    config: TrainingConfig,
+    logger: loggers.Logger,
+    save: Callable[[], None],
+    should_stop: Callable[[], bool] = lambda: False,
+    keep: Callable[[], None] = lambda: None,
+  ) -> None:
+    """Trains until `config.steps`, the time is up or `should_stop`.
+
+    Args:
+      config: how long, how often.
+      logger: gets a row every `config.log_every` iterations.
+      save: called at least every `config.checkpoint_seconds` and at the end.
+      should_stop: asked after every iteration.
+      keep: called every `config.keep_every` control steps.
+    """
+    began = saved = logged = time.monotonic()
+    logged_steps, saved_steps = self.steps, -1
+    while self.steps < config.steps:
+      before = self.steps
+      self._collect()
+      metrics = self._learner.step(self._buffers)
+      if config.keep_every and (
+        self.steps // config.keep_every > before // config.keep_every
+      ):
+        keep()
+      now = time.monotonic()
+      if self.iterations % config.log_every == 0:
+        speed = (self.steps - logged_steps) / (now - logged)
+        logged, logged_steps = now, self.steps
+        logger.write(self._row(metrics, speed))
+      save_now, stop = self._communicator.any(
+        now - saved > config.checkpoint_seconds,
+        should_stop() or now - began > 60 * config.minutes,
+      )
+      if save_now:
+        save()
+        saved, saved_steps = time.monotonic(), self.steps
+      if stop:
+        break
+    # Twice the same would leave no earlier checkpoint to fall back to.
+    if self.steps != saved_steps:
+      save()
+
+  def _row(self, metrics: dict[str, float], speed: float) -> dict[str, float]:
+    return {
+      'steps': self.steps,
+      'steps_per_second': speed,
+      'diverged': self._diverged,
+      **self._returns.summary(self._names),
+      **metrics,
+      **self._probabilities(),
+    }
+
+  def state(self) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Returns tensors and JSON-able values that `restore` needs.
+
+    Rank 0 gets those of all ranks; what others get is of no use.
+
+    Raises:
+      ValueError: the ranks do not hold the same network.
+    """
+    tensors: dict[str, Any] = {}
+    for prefix, part in self._parts():
+      tensors |= {f'{prefix}/{k}': v for k, v in part.state().items()}
+    for name in _TRACKED:
+      tensors[f'tracker/{name}'] = getattr(self._returns, name).copy()
+    values = {'steps': self.steps, 'iterations': self.iterations}
+    if self._diverged:
+      values['diverged'] = self._diverged
+    if self._communicator.size > 1:
+      values['ranks'] = self._communicator.size
+    return checkpointing.collect(self._communicator, tensors), values
+
+  def _parts(self) -> tuple[tuple[str, Any], ...]:
+    return (
+      ('learner', self._learner),
+      ('actor', self._actor),
+      ('environment', self._environment),
+    )
+
+  def restore(
+    self, tensors: Mapping[str, torch.Tensor], values: Mapping[str, Any]
+  ) -> None:
+    """Takes over a `state`; training then continues bit for bit.
+
+    Args:
+      tensors, values: what `state` returned; only those of rank 0 matter.
+
+    Raises:
+      ValueError: the state is of another network, task or number of worlds or
+        of ranks.
+    """
+    tensors, values = checkpointing.scatter(self._communicator, tensors, values)
+    try:
+      self._learner.restore(learning.part_of(tensors, 'learner/'))
+      self._actor.restore(learning.part_of(tensors, 'actor/'))
+      world_state = {
+        k: v.numpy()
+        for k, v in learning.part_of(tensors, 'environment/').items()
+      }
+      self._observation = torch.from_numpy(
+        self._environment.restore(world_state)
+      )
+      for name in _TRACKED:
+        getattr(self._returns, name)[:] = tensors[f'tracker/{name}'].numpy()
+      self.steps = int(values['steps'])
+      self.iterations = int(values['iterations'])
+      self._diverged = int(values.get('diverged', 0))  # Older ones lack it.
+    except KeyError as error:
+      raise ValueError(f'The checkpoint lacks {error}.') from error
+    except (IndexError, OverflowError, RuntimeError, TypeError) as error:
+      reason = ' '.join(str(error).split())
+      raise ValueError(f'The checkpoint is damaged: {reason}') from error
+    self._window[:] = 0
+
+
+def _table(step: int, results: agents_core.EpisodeResults) -> np.ndarray:
+  """Returns (step, initial, final, cause, return) of episodes, [N, 5]."""
+  steps = np.full(len(results.initial), step)
+  return np.stack(
+    (steps, results.initial, results.final, results.causes, results.returns),
+    axis=1,
+  ).astype(np.float64)

@@ -1,0 +1,142 @@
+"""What a mode promises, judged by what the body did: beyond the reward.
+
+The reward asks for the trunk alone, and a shuffle on both feet may be paid as
+well as a walk. What a mode promises follows from its reference: one that stands
+stays where it is; a gait keeps its speed and its height, or rises in every
+cycle where the reference does, and sets its feet down in turns where those of
+the reference alternate; a bounding mode rises and flies in every cycle; a jump
+onto a block ends on it.
+"""
+
+from typing import Callable, NamedTuple, Sequence
+
+import numpy as np
+
+from dmc_multimode.evaluation import gait_metrics
+from dmc_multimode.modes import reference
+
+DURATION = 5.1  # Seconds that an episode takes to be judged by.
+
+_DRIFT = 0.05  # Metres in `DURATION`.
+_SPEED = 1 / 6  # Of the reference's: how far off speed and turn rate may be.
+_BOB = 0.05  # Metres: how far from its mean the height of a gait may be.
+_ALTERNATION = 0.8  # Share of touch-downs.
+_RISE = 0.6  # Of the reference's rise.
+_FLIGHT = 0.45  # Of the reference's time in the air.
+_STANCE = 1.0  # Seconds that a jump has to stand where it led to.
+
+
+class Promise(NamedTuple):
+  """A metric of a mode and the bounds that it has to be in.
+
+  Attributes:
+    metric: its name.
+    least, most: the bounds; infinite where there is none.
+    measure: computes it for an episode.
+  """
+
+  metric: str
+  least: float
+  most: float
+  measure: Callable[[gait_metrics.Trace], float]
+
+
+class Verdict(NamedTuple):
+  """How a promise was kept.
+
+  Attributes:
+    metric: its name.
+    value: mean over the episodes.
+    worst: of the episode that was farthest off.
+    least, most: the bounds.
+    kept: whether the mean is within them.
+  """
+
+  metric: str
+  value: float
+  worst: float
+  least: float
+  most: float
+  kept: bool
+
+
+def promises(motion: reference.ReferenceMotion) -> tuple[Promise, ...]:
+  """Returns what a mode promises, by the nature of its reference."""
+  if motion.kind == reference.STEADY:
+    return (Promise('drift', -np.inf, _DRIFT, gait_metrics.drift),)
+  if motion.kind == reference.TRANSIENT:
+    return _of_jumps(motion)
+  airborne = _time_in_the_air(motion)
+  return _of_bounds(motion, airborne) if airborne else _of_gaits(motion)
+
+
+def judge(
+  motion: reference.ReferenceMotion, traces: Sequence[gait_metrics.Trace]
+) -> tuple[Verdict, ...]:
+  """Judges episodes of one mode, at clock rate 1, by what it promises."""
+  verdicts = []
+  for metric, least, most, measure in promises(motion):
+    values = np.array([measure(trace) for trace in traces])
+    worst = values[np.argmax(np.maximum(least - values, values - most))]
+    mean = float(values.mean())
+    kept = least <= mean <= most
+    verdicts.append(Verdict(metric, mean, float(worst), least, most, kept))
+  return tuple(verdicts)
+
+
+def _of_jumps(motion: reference.ReferenceMotion) -> tuple[Promise, ...]:
+  """Promises of a mode that ends somewhere else."""
+  if motion.step is None:
+    return ()
+  step = motion.step.height
+  height = float(motion.positions[-1, 2]) - step
+  stance = lambda trace: gait_metrics.stance(trace, step, height)
+  return (Promise('stance', _STANCE, np.inf, stance),)
+
+
+def _of_gaits(motion: reference.ReferenceMotion) -> tuple[Promise, ...]:
+  """Promises of a periodic mode that keeps to the ground."""
+  result = []
+  moved = motion.positions[-1] - motion.positions[0]
+  speed = float(np.linalg.norm(moved[:2])) / motion.duration
+  if speed and not np.ptp(reference.yaw(motion.orientations)):
+    heading = moved[:2] / np.linalg.norm(moved[:2])
+    along = lambda trace: float(trace.velocity(trace.position)[:2] @ heading)
+    slack = _SPEED * speed
+    result.append(Promise('speed', speed - slack, speed + slack, along))
+  rate = float(reference.ReferenceBank([motion]).turns[0]) / motion.duration
+  if rate:
+    slack = _SPEED * abs(rate)
+    result.append(
+      Promise('turn_rate', rate - slack, rate + slack, gait_metrics.turn_rate)
+    )
+  rise = float(np.ptp(motion.positions[:, 2]))
+  if rise:
+    result.append(Promise('rise', _RISE * rise, np.inf, gait_metrics.rise))
+  else:
+    result.append(Promise('bob', -np.inf, _BOB, gait_metrics.bob))
+  contacts = [] if motion.contacts is None else motion.contacts.tolist()
+  if [1, 0] in contacts and [0, 1] in contacts:
+    result.append(
+      Promise('alternation', _ALTERNATION, np.inf, gait_metrics.alternation)
+    )
+  return tuple(result)
+
+
+def _of_bounds(
+  motion: reference.ReferenceMotion, airborne: float
+) -> tuple[Promise, ...]:
+  """Promises of a periodic mode that is `airborne` seconds of each cycle."""
+  flight = Promise('flight', _FLIGHT * airborne, np.inf, gait_metrics.flight)
+  rise = float(np.ptp(motion.positions[:, 2]))
+  if not rise:
+    return (flight,)
+  return (Promise('rise', _RISE * rise, np.inf, gait_metrics.rise), flight)
+
+
+def _time_in_the_air(motion: reference.ReferenceMotion) -> float:
+  """Seconds of a cycle in which no foot should touch the ground."""
+  if motion.contacts is None:
+    return 0.0
+  airborne = ~motion.contacts[:-1].any(axis=1)
+  return float(motion.duration * np.diff(motion.phases)[airborne].sum())

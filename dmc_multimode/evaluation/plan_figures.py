@@ -1,0 +1,85 @@
+"""The paper's figure of a plan: modes and height over time, and a side view."""
+
+from typing import Any, Sequence
+
+import matplotlib.figure
+import numpy as np
+
+from dmc_multimode.arenas import terrain as terrain_lib
+from dmc_multimode.evaluation import figures
+from dmc_multimode.planner import plan as plan_lib
+from dmc_multimode.planner import pushes as pushes_lib
+
+_MARGIN = 0.5  # Metres of track before and after the path.
+_DEPTH = 0.1  # Metres of ground that are shown below the lowest.
+
+
+def draw(
+  plan: plan_lib.ModePlan,
+  path: np.ndarray,
+  timestep: float,
+  terrain: terrain_lib.Terrain,
+  pushes: Sequence[pushes_lib.Push] = (),
+) -> matplotlib.figure.Figure:
+  """Draws a plan and where it led to.
+
+  Args:
+    plan: which mode when.
+    path: of the trunk after every control step, world metres, [T, 3].
+    timestep: seconds of a control step.
+    terrain: that it crosses, a batch of one.
+    pushes: that the robot met, drawn where they happened in time.
+  """
+  drawn, axes = figures.empty(2, 1, 8.0, 2.6)
+  _draw_time(axes[0, 0], plan, path, timestep, terrain)
+  for push in pushes:
+    axes[0, 0].axvline(push.time, color='C1', linestyle='--')
+  _draw_side(axes[1, 0], path, terrain)
+  return drawn
+
+
+def _draw_time(
+  axis: Any,
+  plan: plan_lib.ModePlan,
+  path: np.ndarray,
+  timestep: float,
+  terrain: terrain_lib.Terrain,
+) -> None:
+  """Modes, height of the trunk and the ground under it over time."""
+  names = list(dict.fromkeys(plan.modes))
+  knots = plan.knot_duration * np.arange(len(plan.modes) + 1)
+  levels = [names.index(mode) for mode in plan.modes]
+  axis.step(knots, [*levels, levels[-1]], 'C0', where='post')
+  axis.set_yticks(range(len(names)), names)
+  axis.set(xlabel='time (s)', ylim=(-0.5, len(names) - 0.5))
+  axis.tick_params(axis='y', colors='C0')
+  times = timestep * np.arange(1, len(path) + 1)
+  rows = terrain_lib.Terrain(
+    *(np.repeat(field, len(path), axis=0) for field in terrain)
+  )
+  ground = terrain_lib.support_height(rows, path[:, 0])
+  other = axis.twinx()
+  other.fill_between(times, ground, step='mid', color='0.85')
+  other.plot(times, path[:, 2], 'C3')
+  other.set_ylabel('height of the trunk (m)', color='C3')
+  other.set_ylim(0.0, 1.1 * path[:, 2].max())
+  axis.set_zorder(other.get_zorder() + 1)
+  axis.patch.set_visible(False)
+
+
+def _draw_side(
+  axis: Any, path: np.ndarray, terrain: terrain_lib.Terrain
+) -> None:
+  """The path over the profile of the track, both axes to scale."""
+  low, high = path[:, 0].min() - _MARGIN, path[:, 0].max() + _MARGIN
+  used = np.isfinite(terrain.starts[0])
+  bottom = terrain.tops[0][used].min() - _DEPTH
+  for start, end, top in zip(
+    *(field[0][used] for field in terrain), strict=True
+  ):
+    left, right = max(start, low), min(end, high)
+    if left < right:
+      axis.fill_between([left, right], bottom, top, color='0.75', linewidth=0)
+  axis.plot(path[:, 0], path[:, 2], 'C3')
+  axis.plot(*path[-1, [0, 2]], 'C3o')
+  axis.set(xlabel='x (m)', ylabel='z (m)', xlim=(low, high), aspect='equal')

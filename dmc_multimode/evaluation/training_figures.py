@@ -1,0 +1,116 @@
+"""How trainings went, drawn: from the metrics that runs wrote."""
+
+import csv
+import math
+import pathlib
+from typing import Mapping, Sequence
+
+import matplotlib.figure
+import numpy as np
+
+from dmc_multimode.evaluation import figures
+
+METRICS_FILE = 'metrics.csv'
+_POINTS = 400  # Of a line.
+_COLUMNS = 5  # Of panels in a row.
+_MILLION = 1e6
+
+Curves = Mapping[str, np.ndarray]
+
+
+def read(path: pathlib.Path) -> Curves:
+  """Returns the columns of a run's metrics by name, [N] each.
+
+  Args:
+    path: the file, or the run's folder.
+
+  Raises:
+    FileNotFoundError: there is no such file.
+    ValueError: it does not hold numbers by step.
+  """
+  path = path / METRICS_FILE if path.is_dir() else path
+  if not path.is_file():
+    raise FileNotFoundError(f'{path} does not exist.')
+  try:
+    with open(path, newline='', encoding='utf-8') as file:
+      rows = list(csv.DictReader(file))
+  except (csv.Error, UnicodeDecodeError) as error:
+    raise ValueError(f'{path} is damaged: {error}.') from error
+  if not rows or not {'steps', 'mra_modes', 'mra_transitions'} <= set(rows[0]):
+    raise ValueError(f'{path} does not hold the metrics of a run.')
+  try:
+    return {
+      name: np.array([float(row[name]) for row in rows]) for name in rows[0]
+    }
+  except (TypeError, ValueError) as error:
+    raise ValueError(f'{path} is damaged: {error}.') from error
+
+
+def draw_returns(
+  groups: Mapping[str, Sequence[Curves]],
+) -> matplotlib.figure.Figure:
+  """Draws MRA over modes and over transitions along training, by label."""
+  drawn, (axes,) = figures.empty(1, 2, 5.0, 3.2)
+  columns = {'mra_modes': 'modes', 'mra_transitions': 'transitions'}
+  for axis, (column, title) in zip(axes, columns.items(), strict=True):
+    for label, runs in groups.items():
+      steps, values = _aligned(runs, column)
+      (line,) = axis.plot(steps / _MILLION, values.mean(axis=0), label=label)
+      axis.fill_between(
+        steps / _MILLION,
+        values.min(axis=0),
+        values.max(axis=0),
+        color=line.get_color(),
+        alpha=0.2,
+        linewidth=0,
+      )
+    axis.set(title=title, xlabel='million control steps', ylim=(0.0, 1.0))
+  axes[0].set_ylabel('normalised return, exploring')
+  axes[0].legend()
+  return drawn
+
+
+def _aligned(
+  runs: Sequence[Curves], column: str
+) -> tuple[np.ndarray, np.ndarray]:
+  """Returns common steps [N] and the runs' values there, [R, N]."""
+  first = max(run['steps'][0] for run in runs)
+  last = min(run['steps'][-1] for run in runs)
+  steps = np.linspace(first, last, _POINTS)
+  values = [np.interp(steps, run['steps'], run[column]) for run in runs]
+  return steps, np.stack(values)
+
+
+def draw_sampling(run: Curves) -> matplotlib.figure.Figure:
+  """Draws how often each initial mode was practised, and each final by it."""
+  names = [name.removeprefix('p/') for name in run if name.startswith('p/')]
+  panels = {'initial mode': [name for name in names if '->' not in name]}
+  for name in names:
+    initial, arrow, _ = name.partition('->')
+    if arrow:
+      panels.setdefault(f'final mode after {initial}', []).append(name)
+  columns = min(len(panels), _COLUMNS)
+  drawn, axes = figures.empty(
+    math.ceil(len(panels) / columns), columns, 3.2, 2.6
+  )
+  for axis, (title, members) in zip(axes.flat, panels.items(), strict=False):
+    for name in members:
+      steps, values = _smoothed(run['steps'], run[f'p/{name}'])
+      axis.plot(
+        steps / _MILLION, values, label=name.partition('->')[-1] or name
+      )
+    axis.set(title=title, xlabel='million control steps', ylim=(0.0, 1.0))
+  for axis in axes.flat[len(panels) :]:
+    axis.remove()
+  axes[0, 0].set_ylabel('probability, running mean')
+  axes[0, 0].legend(fontsize='x-small')
+  return drawn
+
+
+def _smoothed(
+  steps: np.ndarray, values: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+  """Running means over a twentieth of the rows, or over two."""
+  width = min(max(len(steps) // 20, 2), len(steps))
+  mean = lambda x: np.convolve(x, np.full(width, 1 / width), 'valid')
+  return mean(steps), mean(values)

@@ -1,0 +1,246 @@
+"""A training that begins with a policy: what it takes over, and its defaults.
+
+The policy's modes keep their motions and, to the bit, their latents; new modes
+get latents of their own from the policy's encoder, which is trained on for them
+(`modes.encoder.extension`). So the network is of the same size, and all of it
+is taken over.
+"""
+
+import dataclasses
+import pathlib
+
+import numpy as np
+
+from dmc_multimode import pretrained
+from dmc_multimode.experiments import setup
+from dmc_multimode.modes import codebook as codebook_lib
+from dmc_multimode.modes import files as mode_files
+from dmc_multimode.modes import library
+from dmc_multimode.modes import reference
+from dmc_multimode.modes.encoder import extension
+from dmc_multimode.modes.encoder import training as encoder_training
+from dmc_multimode.pretrained import policy as policy_lib
+from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.suite.imitation import privileged
+from dmc_multimode.utils import resources
+
+# Enough exploration to find a new motion near those that are known.
+_INITIAL_STD, _LEAST_STD, _FINAL_STD = 0.18, 0.14, 0.05  # Radians.
+_ANNEALING = (0.25, 0.85)  # From and to which share of the training.
+# A motion near a known one pays nearly as well without being learned: to crouch
+# a little as well as a squat. So new modes are practised more, and their
+# advantages are not drowned by those of modes in which robots fall. The known
+# modes are held meanwhile.
+_FOCUS_SHARE, _ANCHOR_WEIGHT = 0.5, 0.3
+_QUIET_SHARE, _QUIET_START = 0.3, 0.5  # From which share of the training on.
+
+Motions = tuple[reference.ReferenceMotion, ...]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Start:
+  """What a training begins with.
+
+  Attributes:
+    name: of the policy, as it was given.
+    policy: whose network and modes are taken over.
+    encoder: that made its latents.
+  """
+
+  name: str
+  policy: pretrained.Policy
+  encoder: encoder_training.ModeEncoder
+
+  def config(self, motions: Motions, steps: int) -> setup.RunConfig:
+    """Returns the defaults of a training.
+
+    They are those of the policy's own training as it was in the end, but for
+    the exploration, which rises once more, and for what new modes need.
+
+    Args:
+      motions: the modes of the training.
+      steps: how many control steps it is to take.
+    """
+    policy, before = self.policy, _trained_with(self.policy)
+    start, end = (int(share * steps) for share in _ANNEALING)
+    ppo = dataclasses.replace(
+      before.ppo,
+      hidden_sizes=policy.hidden_sizes,
+      activation=policy.network.activation,
+      privileged_critic=policy.network.privileged_size > 0,
+      initial_std=_INITIAL_STD,
+      min_std=_LEAST_STD,
+      final_min_std=_FINAL_STD,
+      anneal_start=start,
+      anneal_end=end,
+      quiet_share=_QUIET_SHARE,
+      quiet_start=int(_QUIET_START * steps),
+      advantages='mode',
+      anchor_weight=_ANCHOR_WEIGHT,
+    )
+    sampling = dataclasses.replace(
+      before.sampling,
+      gait_steps=0,
+      focus=','.join(motion.name for motion in self.new(motions)),
+      focus_start=0,
+      focus_steps=steps,
+      focus_share=_FOCUS_SHARE,
+    )
+    return setup.RunConfig(
+      modes=','.join(motion.name for motion in motions),
+      init_from=self.name,
+      init_modes=','.join(policy.codebook.names),
+      ppo=ppo,
+      sampling=sampling,
+      task=settled(policy.config),
+    )
+
+  def new(self, motions: Motions) -> Motions:
+    """Returns those of the modes that the policy does not know."""
+    known = set(self.policy.codebook.names)
+    return tuple(motion for motion in motions if motion.name not in known)
+
+  def modes(self, spec: str | None, extra: Motions = ()) -> Motions:
+    """Returns the modes that `spec` names; the policy knows its own best.
+
+    Args:
+      spec: a set's name or mode names, comma-separated; None for those of the
+        policy and `extra`.
+      extra: modes that may be named besides the policy's and the library's.
+
+    Raises:
+      ValueError: a name is unknown, or is of another motion to the policy.
+    """
+    known = {motion.name: motion for motion in self.policy.motions}
+    for motion in extra:
+      mine = known.get(motion.name)
+      if mine and mode_files.motion_to_dict(mine) != mode_files.motion_to_dict(
+        motion
+      ):
+        raise ValueError(
+          f'{self.name} knows another motion by the name of {motion.name!r}: '
+          'give yours a name of its own.'
+        )
+    named = (*extra, *known.values())
+    if spec is None:
+      return library.resolve(
+        [*known, *(m.name for m in self.new(extra))], named
+      )
+    return library.resolve(spec, named)
+
+  def check(self, config: setup.RunConfig) -> None:
+    """Raises ValueError where a configuration is of another network."""
+    network = self.policy.network
+    expected = {
+      'hidden_sizes': self.policy.hidden_sizes,
+      'activation': network.activation,
+      'privileged_critic': network.privileged_size > 0,
+    }
+    for field, value in expected.items():
+      if getattr(config.ppo, field) != value:
+        raise ValueError(
+          f'--ppo_{field}: the weights of {self.name} are taken over, and it '
+          f'has {value}.'
+        )
+    if config.one_hot:
+      raise ValueError(f'--one_hot: {self.name} knows modes by their latents.')
+    more = privileged.size(self.policy.codebook.latent_dim)
+    if network.privileged_size not in (0, more):
+      raise ValueError(
+        f'The value function of {self.name} sees {network.privileged_size} '
+        f'privileged numbers and not the {more} of this version.'
+      )
+
+  def encode(
+    self, motions: Motions
+  ) -> tuple[encoder_training.ModeEncoder, codebook_lib.Codebook]:
+    """Returns an encoder of the policy's modes and `motions`, and latents.
+
+    Raises:
+      ValueError: the encoder is of another policy, or cannot tell the modes
+        apart.
+    """
+    encoder, codebook = extension.extend(
+      self.encoder,
+      self.policy.motions,
+      self.policy.codebook,
+      self.new(motions),
+    )
+    return encoder, codebook.subset([motion.name for motion in motions])
+
+
+def load(name: str, encoder: str | None = None) -> Start:
+  """Loads what a training is to begin with.
+
+  Args:
+    name: of a shipped policy, or a folder of a policy or of a run.
+    encoder: folder of the policy's encoder; by default the one that is beside
+      the policy, or in its run.
+
+  Raises:
+    FileNotFoundError: there is no such policy.
+    ValueError: a file is damaged, no encoder is where it should be, or the
+      policy has no latents.
+  """
+  policy = pretrained.load(name)
+  if np.array_equal(policy.codebook.latents, np.eye(len(policy.codebook))):
+    raise ValueError(
+      f'{name} knows its modes by one-hot commands, which leave no room for '
+      'another: begin with a policy that has latents.'
+    )
+  folder = pathlib.Path(encoder) if encoder else find_encoder(name)
+  return Start(name, policy, encoder_training.load(folder))
+
+
+def find_encoder(name: str) -> pathlib.Path:
+  """Returns the folder of the encoder that belongs to a policy.
+
+  Raises:
+    ValueError: there is none beside it, nor in its run.
+  """
+  path = pathlib.Path(name)
+  folders = [
+    path,  # A policy that ships with its encoder.
+    path / setup.ENCODER,  # A run.
+    path.parent / setup.ENCODER,  # RUN/policy.
+    path.parent.parent / setup.ENCODER,  # RUN/policies/STEPS.
+  ]
+  if not any(
+    (folder / policy_lib.DESCRIPTION_FILE).is_file()
+    for folder in (path, path / policy_lib.RUN_SUBFOLDER)
+  ):
+    folders = [resources.path('pretrained', name)]
+  for folder in folders:
+    if (folder / encoder_training.CONFIG_FILE).is_file():
+      return folder
+  raise ValueError(
+    f'{name} has no mode encoder beside it: name the folder of the one that it '
+    'was trained with, --encoder=DIR.'
+  )
+
+
+def settled(config: task_config.ImitationConfig) -> task_config.ImitationConfig:
+  """Returns a task as it is when all that a training schedules has ended."""
+  bonus = config.contact_bonus
+  if config.contact_bonus_end:
+    bonus = config.late_contact_bonus
+  return dataclasses.replace(
+    config,
+    early_distance=config.limits.distance,
+    tighten_steps=0,
+    assist_steps=0,
+    contact_bonus=bonus,
+    late_contact_bonus=bonus,
+    contact_bonus_start=0,
+    contact_bonus_end=0,
+    obstacles_start=0,
+    push_start=0,
+  )
+
+
+def _trained_with(policy: pretrained.Policy) -> setup.RunConfig:
+  """Returns what a policy tells of its training, in words of this version."""
+  try:
+    return setup.from_dict(policy.provenance['run'])
+  except (KeyError, ValueError):
+    return setup.RunConfig()

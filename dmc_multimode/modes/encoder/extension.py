@@ -1,0 +1,172 @@
+"""New modes for a mode encoder whose latents are in use.
+
+A policy has learned what the latents of its modes mean, so these must stay what
+they are. An encoder that has never seen a motion may put it anywhere, also onto
+a mode that it knows: that of pi2 maps a squat to 1 % of the mean distance from
+idle. So the encoder is trained on, with the old modes held where they are,
+until it tells the new ones apart as well as the old ones.
+"""
+
+import copy
+import dataclasses
+from typing import Sequence
+
+import numpy as np
+import torch
+from torch import nn
+
+from dmc_multimode.modes import codebook as codebook_lib
+from dmc_multimode.modes import reference
+from dmc_multimode.modes.encoder import network as autoencoder
+from dmc_multimode.modes.encoder import training as encoder_training
+
+# How far off an encoder may be from the latent of an old mode, in any number of
+# it; latents have unit variance.
+_TOLERANCE = 0.01
+_ANCHOR_WEIGHT = 10.0  # Of the distance of old modes from where they belong.
+
+
+def extend(
+  base: encoder_training.ModeEncoder,
+  old: Sequence[reference.ReferenceMotion],
+  codebook: codebook_lib.Codebook,
+  new: Sequence[reference.ReferenceMotion],
+) -> tuple[encoder_training.ModeEncoder, codebook_lib.Codebook]:
+  """Returns an encoder that knows new modes too, and the latents of all.
+
+  The latents of the old modes are those given, to the bit. The tolerances are
+  those that `base` was trained to; the result depends on the arguments alone.
+
+  Args:
+    base: what the old modes were encoded with; it stays as it is.
+    old: modes whose latents are in use.
+    codebook: these latents.
+    new: modes to be encoded; nothing is trained where there is none.
+
+  Raises:
+    ValueError: `base` has not made these latents, or two modes are the same to
+      it.
+    ConvergenceError: the tolerances of `base` are not met in as many epochs as
+      it was given.
+  """
+  codebook = codebook.subset([motion.name for motion in old])
+  _check_base(base, old, codebook)
+  motions = (*old, *new)
+  try:
+    encoder_training.check_set(motions, base.config)
+  except ValueError as error:
+    raise ValueError(
+      f'{error} The encoder is that of the old modes: change the new ones, or '
+      'train a policy of all modes from scratch.'
+    ) from None
+  network = base.network
+  if new:
+    network = _Extension(base, motions, codebook).train()
+  trained = encoder_training.ModeEncoder(base.config, motions, network)
+  if not new:
+    return trained, codebook
+  latents = np.concatenate([codebook.latents, trained.encode(new)])
+  names = tuple(motion.name for motion in motions)
+  return trained, codebook_lib.Codebook(names, latents)
+
+
+def _check_base(
+  base: encoder_training.ModeEncoder,
+  old: Sequence[reference.ReferenceMotion],
+  codebook: codebook_lib.Codebook,
+) -> None:
+  """Raises ValueError unless `base` encodes the old modes as the codebook."""
+  found = base.encode(old)
+  if found.shape != codebook.latents.shape or not np.allclose(
+    found, codebook.latents, rtol=0.0, atol=2 * _TOLERANCE
+  ):
+    raise ValueError(
+      'The encoder is not the one that the latents of the old modes are from: '
+      'name the folder of that one.'
+    )
+
+
+@dataclasses.dataclass
+class _Standing:
+  """Where training stands: what is to fall, and what has to be met."""
+
+  loss: torch.Tensor
+  rmse: float
+  separation: float
+  shift: float
+
+  def suffices(self, config: encoder_training.EncoderConfig) -> bool:
+    """Whether the tolerances are met, on other machines too."""
+    return (
+      self.rmse < encoder_training.SAFETY * config.max_rmse
+      and self.separation * encoder_training.SAFETY > config.min_separation
+      and self.shift < encoder_training.SAFETY * _TOLERANCE
+    )
+
+
+class _Extension:
+  """Trains a copy of an autoencoder on, with some latents held."""
+
+  def __init__(
+    self,
+    base: encoder_training.ModeEncoder,
+    motions: Sequence[reference.ReferenceMotion],
+    codebook: codebook_lib.Codebook,
+  ):
+    """Holds the latents of the first motions, those of the codebook."""
+    self._config = base.config
+    self._network = copy.deepcopy(base.network).requires_grad_(True)
+    self._batch = autoencoder.Batch(motions, base.config.use_contacts)
+    self._held = torch.tensor(codebook.latents)
+    # Every pair of modes of which one is new.
+    first, second = torch.triu_indices(len(motions), len(motions), 1)
+    self._pairs = first, second
+    self._new_pairs = second >= len(self._held)
+
+  def train(self) -> autoencoder.Autoencoder:
+    """Returns the trained network; raises ConvergenceError without one."""
+    config = self._config
+    parameters = list(self._network.parameters())
+    optimizer = torch.optim.Adam(parameters, lr=config.learning_rate)
+    for _ in range(config.max_epochs):
+      standing = self._evaluate()
+      if standing.suffices(config):
+        return self._network.requires_grad_(False)
+      optimizer.zero_grad()
+      standing.loss.backward()
+      nn.utils.clip_grad_norm_(parameters, encoder_training.MAX_GRADIENT_NORM)
+      optimizer.step()
+    raise encoder_training.ConvergenceError(
+      f'The encoder did not learn the new modes in {config.max_epochs} epochs: '
+      f'worst RMSE {standing.rmse:.3f} m (wanted below {config.max_rmse:g}), '
+      f'separation {standing.separation:.2f} (wanted above '
+      f'{config.min_separation:g}), old latents off by {standing.shift:.3f} '
+      f'(wanted below {_TOLERANCE:g}). Make the new modes differ more from the '
+      'old ones, or train a policy of all modes from scratch.'
+    )
+
+  def _evaluate(self) -> _Standing:
+    network, batch, count = self._network, self._batch, len(self._held)
+    target = batch.standardised(network)
+    raw = network.encode(target, batch.last)
+    encoded = (raw - network.latent_mean) / network.latent_scale
+    shift = encoded[:count] - self._held
+    # What is decoded is what the policy gets.
+    latents = torch.cat([self._held, encoded[count:]])
+    error = network.decode(latents, target.shape[1]) - target
+    metres = (error.detach() * network.feature_scale)[..., autoencoder.POSITION]
+    first, second = self._pairs
+    distances = (latents[first] - latents[second]).norm(dim=1)
+    relative = (distances / distances.mean())[self._new_pairs]
+    least = encoder_training.HINGE * self._config.min_separation
+    loss = (
+      batch.mean(error.square().sum(dim=-1)).mean()
+      + torch.relu(least - relative).square().sum()
+      + _ANCHOR_WEIGHT * shift.square().mean()
+    )
+    return _Standing(
+      loss,
+      batch.mean(metres.square().sum(dim=-1)).sqrt().max().item(),
+      relative.min().item(),
+      shift.abs().max().item(),
+    )

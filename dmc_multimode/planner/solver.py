@@ -1,0 +1,244 @@
+"""From a track and a goal to a plan: one call for every planner."""
+
+import time
+from typing import Callable, NamedTuple, Sequence
+
+import numpy as np
+
+from dmc_multimode.arenas import track as track_lib
+from dmc_multimode.planner import beam_search as search
+from dmc_multimode.planner import plan as plan_lib
+from dmc_multimode.planner import problem as problem_lib
+from dmc_multimode.planner import pushes as pushes_lib
+from dmc_multimode.planner import q_learning
+from dmc_multimode.suite.reaching import problem as reaching
+
+PlannerConfig = search.BeamConfig | q_learning.QLearningConfig
+_CANDIDATES = 10  # Plans that are tried alone until one succeeds.
+
+
+class Status(NamedTuple):
+  """How far a search has come.
+
+  Attributes:
+    search: which one, for people.
+    done, total: knots of a beam search, episodes of a Q-learning.
+    best: return of the best plan so far.
+    distance: least distance from the goal along x at an end, metres.
+  """
+
+  search: str
+  done: int
+  total: int
+  best: float
+  distance: float
+
+
+Report = Callable[[Status], None]
+
+
+class Found(NamedTuple):
+  """A plan and what it led to, by itself in one world.
+
+  Attributes:
+    plan: the best plan.
+    success: whether the robot stands at the goal in the end and never fell.
+    episode_return: sum of exp(-|goal - p|) over the control steps.
+    path: of the trunk after every control step, metres, [T, 3].
+    solve_seconds: from the first roll-out to the last.
+    rollouts: plans that the searches tried; a beam search tries its parts.
+    control_steps: of all worlds that were searched in or tried in, together.
+  """
+
+  plan: plan_lib.ModePlan
+  success: bool
+  episode_return: float
+  path: np.ndarray
+  solve_seconds: float
+  rollouts: int
+  control_steps: int
+
+  @property
+  def final_position(self) -> np.ndarray:
+    """Of the trunk, world metres, [3]."""
+    return self.path[-1]
+
+
+def num_worlds(config: PlannerConfig, num_modes: int) -> int:
+  """Returns how many worlds a planner runs at once."""
+  if isinstance(config, search.BeamConfig):
+    return config.beams * num_modes
+  return config.trials
+
+
+class _Tried(NamedTuple):
+  """A plan, mode indices [K], and how it went alone."""
+
+  indices: np.ndarray
+  trial: problem_lib.Trials
+
+  def worth(self) -> tuple[bool, bool, float]:
+    """Sorts by success, then by who stands, then by return."""
+    trial = self.trial
+    return bool(trial.success[0]), bool(trial.alive[0]), float(trial.returns[0])
+
+
+class Solver:
+  """A planner on its problem, compiled and ready to run."""
+
+  def __init__(
+    self,
+    policy: reaching.Policy,
+    make_arena: Callable[[], track_lib.Track],
+    config: reaching.ReachingConfig,
+    planner: PlannerConfig,
+    num_threads: int = 0,
+  ):
+    """Compiles the worlds.
+
+    Args:
+      policy: turns mode commands into motion.
+      make_arena: returns the track anew, for worlds of its own.
+      config: goal and knots.
+      planner: which planner, and how.
+      num_threads: of the physics; 0 takes every core.
+
+    Raises:
+      ValueError: the goal is not over the track, or a knot is no whole number
+        of control steps.
+    """
+    self._policy, self._make_arena = policy, make_arena
+    self._config, self._num_threads = config, num_threads
+    self._searches = (
+      planner.escalation()
+      if isinstance(planner, search.BeamConfig)
+      else [planner]
+    )
+    self._problems: dict[PlannerConfig, problem_lib.ReachingProblem] = {}
+    self._problem(self._searches[0])
+    self._alone = self.make_robot()
+
+  def make_robot(
+    self, pushes: Sequence[pushes_lib.Push] = ()
+  ) -> problem_lib.ReachingProblem:
+    """Returns a single world at the start, to carry out plans in.
+
+    Args:
+      pushes: that it will meet.
+
+    Raises:
+      ValueError: a push is not at a knot.
+    """
+    return problem_lib.ReachingProblem(
+      self._policy, self._make_arena(), self._config, 1, 1, pushes
+    )
+
+  def solve(
+    self,
+    report: Report = lambda status: None,
+    robot: problem_lib.ReachingProblem | None = None,
+    guess: np.ndarray | None = None,
+  ) -> Found:
+    """Finds a plan; the best that was found if none succeeds.
+
+    Args:
+      report: progress of the searches.
+      robot: where it is, the plan begins, for the knots that are left; at the
+        start without one. It does not move.
+      guess: a plan for those knots, mode indices, [K]; if it succeeds, it is
+        the one, and nothing is searched.
+    """
+    robot = robot or self.make_robot()
+    began, steps = time.perf_counter(), self._control_steps()
+    self._alone.begin_at(robot)
+    tried, rollouts = [] if guess is None else [self._try(guess)], 0
+    for planner in self._searches:
+      if tried and tried[-1].trial.success[0]:
+        break
+      solution = self._search(planner, robot, report)
+      rollouts += solution.episodes
+      tried += self._try_some(solution)
+    indices, trial = max(tried, key=_Tried.worth)
+    names, duration = self._alone.bank.names, self._config.knot_duration
+    return Found(
+      plan_lib.from_indices(indices, names, duration),
+      bool(trial.success[0]),
+      float(trial.returns[0]),
+      trial.paths[0],
+      time.perf_counter() - began,
+      rollouts,
+      self._control_steps() - steps,
+    )
+
+  def _problem(self, planner: PlannerConfig) -> problem_lib.ReachingProblem:
+    """Returns the worlds for a planner, compiled when first asked for."""
+    if planner not in self._problems:
+      self._problems[planner] = problem_lib.ReachingProblem(
+        self._policy,
+        self._make_arena(),
+        self._config,
+        num_worlds(planner, len(self._policy.motions)),
+        self._num_threads,
+      )
+    return self._problems[planner]
+
+  def _control_steps(self) -> int:
+    """Of all worlds since they were compiled."""
+    problems = [*self._problems.values(), self._alone]
+    return sum(problem.control_steps for problem in problems)
+
+  def _search(
+    self,
+    planner: PlannerConfig,
+    robot: problem_lib.ReachingProblem,
+    report: Report,
+  ) -> search.Solution:
+    """Runs one search from where the robot is."""
+    problem = self._problem(planner)
+    problem.begin_at(robot)
+    began = (self._config.knots - problem.knots) * self._config.knot_duration
+    if isinstance(planner, search.BeamConfig):
+      name, total = f'{planner.beams} beams', problem.knots
+    else:
+      name, total = f'{planner.trials} trials', planner.episodes
+    tell = lambda *row: report(
+      Status(f'{name} from {began:.2f} s', row[0], total, *row[1:])
+    )
+    if isinstance(planner, search.BeamConfig):
+      return search.beam_search(problem, planner, tell)
+    return q_learning.q_learning(problem, planner, tell)
+
+  def _try_some(self, solution: search.Solution) -> list[_Tried]:
+    """Tries the best plans alone, until one succeeds."""
+    tried: list[_Tried] = []
+    for indices in solution.plans[:_CANDIDATES]:
+      tried.append(self._try(indices))
+      if tried[-1].trial.success[0]:
+        break
+    return tried
+
+  def _try(self, indices: np.ndarray) -> _Tried:
+    """Tries a plan alone."""
+    return _Tried(indices, self._alone.rollout(indices[None]))
+
+
+def replay(
+  policy: reaching.Policy,
+  arena: track_lib.Track,
+  config: reaching.ReachingConfig,
+  plan: plan_lib.ModePlan,
+  pushes: Sequence[pushes_lib.Push] = (),
+) -> problem_lib.Trials:
+  """Runs a plan in one world, as when it was found, bit for bit.
+
+  Raises:
+    ValueError: the plan has other knots than `config`, commands a mode that the
+      policy does not know, or a push is not at a knot.
+  """
+  if (len(plan.modes), plan.knot_duration) != (
+    config.knots,
+    config.knot_duration,
+  ):
+    raise ValueError('The plan has other knots than the problem.')
+  robot = problem_lib.ReachingProblem(policy, arena, config, 1, 1, pushes)
+  return robot.rollout(plan.indices(robot.bank)[None])

@@ -1,0 +1,263 @@
+"""The imitation task as dm_control users load it: a Composer task."""
+
+import collections
+from typing import Any
+
+from dm_control import composer
+from dm_control.composer.observation import observable
+import numpy as np
+
+from dmc_multimode.arenas import terrain as terrain_lib
+from dmc_multimode.arenas import track as track_lib
+from dmc_multimode.modes import codebook as codebook_lib
+from dmc_multimode.modes import reference as reference_lib
+from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.suite.imitation import core as imitation_core
+from dmc_multimode.suite.imitation import episodes as episodes_lib
+from dmc_multimode.suite.imitation import observations
+from dmc_multimode.suite.imitation import terminations
+from dmc_multimode.walkers import mini_biped
+
+_WORLD = np.array([0])
+_GOOD, _BAD = np.array([0.2, 0.7, 0.3]), np.array([0.85, 0.2, 0.15])
+
+
+class Imitation(composer.Task):
+  """Follow the commanded modes' rough references (Sec. II of the paper).
+
+  The reward is Eq. 3, in [0, 1]; observations are those of `observations`, each
+  part under its own name. Episodes end early when the reference is lost, with
+  discount 0; the time limit belongs to the environment.
+  """
+
+  def __init__(
+    self,
+    walker: mini_biped.MiniBiped,
+    arena: track_lib.Track,
+    motions: tuple[reference_lib.ReferenceMotion, ...],
+    codebook: codebook_lib.Codebook,
+    episodes: episodes_lib.EpisodeInitialiser,
+    config: task_config.ImitationConfig | None = None,
+  ):
+    """Puts the walker on the arena.
+
+    Args:
+      walker: the robot; becomes part of the arena.
+      arena: where it goes.
+      motions: the mode set.
+      codebook: the latents of these modes.
+      episodes: chooses each episode's mode schedule.
+      config: of the task; defaults otherwise.
+    """
+    self._arena, self._walker = arena, walker
+    self.motions, self.codebook = motions, codebook
+    self.episodes = episodes
+    self.config = config or task_config.ImitationConfig()
+    self._walker.create_root_joints(self._arena.attach(self._walker))
+    self._set_physics_options()
+    self.core = self.make_core(1, episodes.max_knots)
+    self._visualize_reward = False
+    self._parts: dict[str, np.ndarray] = {}
+    self._outcome: imitation_core.Outcome | None = None
+    self._return = 0.0
+    self._episode: episodes_lib.Episodes | None = None
+    self._add_observables()
+
+  def _set_physics_options(self) -> None:
+    option = self._arena.mjcf_model.option
+    option.integrator = 'implicitfast'
+    option.cone = 'pyramidal'
+    option.noslip_iterations = 0
+    # One robot is one island: looking for more of them only costs time.
+    option.flag.island = 'disable'
+    # A diverged state must be seen, not silently replaced by the initial one.
+    option.flag.autoreset = 'disable'
+    self.set_timesteps(
+      self.config.control_timestep, self.config.physics_timestep
+    )
+    if self.config.servo_inertia:
+      self._walker.add_servo_inertia(self.config.physics_timestep)
+
+  def make_core(
+    self, num_worlds: int, max_knots: int
+  ) -> imitation_core.ImitationCore:
+    """Returns the engine-free task for `num_worlds` worlds of this task."""
+    return imitation_core.ImitationCore(
+      self.motions,
+      self.codebook,
+      self.config,
+      num_worlds,
+      self._arena.num_segments,
+      self._arena.adaptive,
+      max_knots,
+    )
+
+  def _add_observables(self) -> None:
+    layout = observations.layout(self.codebook.latent_dim)
+    self._task_observables = collections.OrderedDict()
+    for name, size in layout:
+      self._parts[name] = np.zeros((1, size))
+      part = observable.Generic(lambda physics, name=name: self._parts[name][0])
+      part.enabled = True
+      self._task_observables[name] = part
+
+  @property
+  def root_entity(self) -> track_lib.Track:
+    """The arena."""
+    return self._arena
+
+  @property
+  def walker(self) -> mini_biped.MiniBiped:
+    """The robot."""
+    return self._walker
+
+  @property
+  def task_observables(self) -> Any:
+    """The parts of the policy's observation by name, in order."""
+    return self._task_observables
+
+  @property
+  def observation(self) -> dict[str, np.ndarray]:
+    """What the next action sees: `observations.layout`'s parts, [1, size]."""
+    return dict(self._parts)
+
+  @property
+  def visualize_reward(self) -> bool:
+    """Whether the robot's eye is coloured by the reward."""
+    return self._visualize_reward
+
+  @visualize_reward.setter
+  def visualize_reward(self, value: bool) -> None:
+    self._visualize_reward = bool(value)
+
+  @property
+  def mode(self) -> str:
+    """Name of the running mode."""
+    return self.motions[int(self.core.tracker.state.mode[0])].name
+
+  @property
+  def outcome(self) -> imitation_core.Outcome | None:
+    """What the last step led to, or None right after a reset."""
+    return self._outcome
+
+  def action_spec(self, physics: Any) -> Any:
+    """Joint targets in radians, float64 [10]."""
+    del physics
+    return self._walker.action_spec
+
+  def initialize_episode(
+    self, physics: Any, random_state: np.random.RandomState
+  ) -> None:
+    """Draws terrain, schedule and initial state."""
+    self._finish_episode()
+    terrain = self._arena.generate(random_state)
+    episode = self.episodes.sample(_WORLD, random_state)
+    self._episode = episode
+    qpos, qvel = self.core.start(_WORLD, episode, terrain, random_state)
+    self._arena.apply(physics, self._standing_terrain())
+    physics.data.qpos[:], physics.data.qvel[:] = qpos[0], qvel[0]
+    self._outcome, self._return = None, 0.0
+    self._observe(physics)
+
+  def _finish_episode(self) -> None:
+    """Reports an episode's normalised return; Algorithm 1 learns from it."""
+    if self._episode is None or self._outcome is None:
+      return
+    highest = self.config.gains.highest * self.config.horizon
+    self.episodes.update(
+      self._episode.initial,
+      self._episode.final,
+      np.array([self._return / highest]),
+    )
+    self._episode = None
+
+  def _standing_terrain(self) -> terrain_lib.Terrain:
+    return self.core.terrain.rows(_WORLD)
+
+  def before_step(
+    self, physics: Any, action: np.ndarray, random_state: np.random.RandomState
+  ) -> None:
+    """Hands the joint targets to the servos."""
+    if self._outcome is None:
+      # dm_control resets with actuation disabled, which leaves the actuators'
+      # velocities at 0: the first physics step would miss the servos' damping.
+      physics.forward()
+    self._walker.apply_action(physics, action, random_state)
+
+  def after_step(
+    self, physics: Any, random_state: np.random.RandomState
+  ) -> None:
+    """Judges the step, then carries out the commands that are due."""
+    qpos, qvel = _state(physics)
+    # Not through a binding: it would first run `forward`, and the forces would
+    # be those after the last physics step instead of those in it.
+    sensors = physics.bind(self._walker.foot_sensors).element_id
+    touch = physics.data.sensordata[physics.model.sensor_adr[sensors]]
+    contact = (touch > self.config.contact_force)[None]
+    self._outcome = self.core.advance(qpos, qvel, contact.astype(float))
+    self._return += float(self._outcome.reward[0])
+    self._rebuild(physics, self.core.switch(qpos, random_state))
+    self._observe(physics)
+    if self._visualize_reward:
+      self._colour(physics, float(self._outcome.reward[0]))
+
+  def command(
+    self, physics: Any, mode: int, random_state: np.random.RandomState
+  ) -> None:
+    """Commands a mode now, whatever the schedule says.
+
+    As for a scheduled command, the reference is anchored where the robot is,
+    and a mode that runs already just goes on. `observation` tells of it at
+    once; an environment's time step, which is older, does not.
+
+    Args:
+      physics: of the running episode.
+      mode: index into `motions`.
+      random_state: of the places of steps.
+    """
+    if mode != self.core.tracker.state.mode[0]:
+      qpos, _ = _state(physics)
+      modes = np.array([mode])
+      self._rebuild(
+        physics, self.core.command(_WORLD, modes, qpos, random_state)
+      )
+    self._observe(physics)
+
+  def _rebuild(self, physics: Any, changed: np.ndarray) -> None:
+    """Moves the boxes if the terrain is among those that changed."""
+    if len(changed):
+      self._arena.apply(physics, self._standing_terrain())
+      physics.forward()
+
+  def _observe(self, physics: Any) -> None:
+    self._parts.update(self.core.observe(*_state(physics)))
+
+  def _colour(self, physics: Any, reward: float) -> None:
+    material = self._walker.mjcf_model.find('material', 'eye')
+    colour = _BAD + reward * (_GOOD - _BAD)
+    physics.bind(material).rgba = np.append(colour, 1.0)
+
+  def get_reward(self, physics: Any) -> float:
+    """Eq. 3."""
+    del physics
+    return float(self._outcome.reward[0]) if self._outcome else 0.0
+
+  def should_terminate_episode(self, physics: Any) -> bool:
+    """Whether the reference is lost, or the robot has fallen."""
+    del physics
+    return bool(self._outcome and self._outcome.cause[0])
+
+  def get_discount(self, physics: Any) -> float:
+    """0 at an early termination, 1 otherwise (also at the time limit)."""
+    return 0.0 if self.should_terminate_episode(physics) else 1.0
+
+  @property
+  def termination_cause(self) -> str:
+    """Why the episode ended early; 'none' while it goes on."""
+    cause = self._outcome.cause[0] if self._outcome else 0
+    return terminations.CAUSES[cause]
+
+
+def _state(physics: Any) -> tuple[np.ndarray, np.ndarray]:
+  """Returns qpos [1, 17] and qvel [1, 16]."""
+  return physics.data.qpos[None].copy(), physics.data.qvel[None].copy()

@@ -1,0 +1,93 @@
+"""The left-right mirror image of observations, actions and commands.
+
+Equal joint angles of the two legs are mirror images of each other (the axes of
+the right leg are those of the left leg mirrored), so that joints and actions
+are merely exchanged. A mode whose reference looks the same half a cycle later
+is mirrored half a cycle out of phase, which is what makes feet alternate.
+"""
+
+from typing import NamedTuple, Sequence
+
+import numpy as np
+
+from dmc_multimode.modes import codebook as codebook_lib
+from dmc_multimode.modes import reference
+from dmc_multimode.suite.imitation import observations
+from dmc_multimode.suite.imitation import privileged
+from dmc_multimode.walkers import mini_biped
+
+
+class MirrorImage(NamedTuple):
+  """How to mirror: x'[i] = signs[i] * x[order[i]].
+
+  Attributes:
+    observation_order, observation_signs: of flat observations, [D].
+    action_order, action_signs: of actions, [A].
+    mirrored_modes: index of every mode's mirror image, [M].
+    clock_signs: -1 for the modes that are mirrored half a cycle later, [M].
+    commands: where latents of modes begin in the observation; they are mirrored
+      by the mode.
+  """
+
+  observation_order: np.ndarray
+  observation_signs: np.ndarray
+  action_order: np.ndarray
+  action_signs: np.ndarray
+  mirrored_modes: np.ndarray
+  clock_signs: np.ndarray
+  commands: tuple[int, ...] = (2,)
+
+
+# Reflection in the plane y = 0 of vectors, axial vectors and quaternions.
+_SIGNS = {
+  'velocity': (1, -1, 1),
+  'angular_velocity': (-1, 1, -1),
+  'orientation': (1, -1, 1, -1),
+  'position_error': (1, -1, 1),
+}
+_COMMANDS = ('command', 'next_command')
+
+
+def mirror_image(
+  motions: Sequence[reference.ReferenceMotion],
+  codebook: codebook_lib.Codebook,
+  with_privileged: bool = False,
+) -> MirrorImage:
+  """Returns the mirror image for a mode set.
+
+  Args:
+    motions: the modes.
+    codebook: their latents.
+    with_privileged: whether observations end with the privileged parts.
+
+  Raises:
+    ValueError: the set holds a mode but not its mirror image.
+  """
+  names = [motion.name for motion in motions]
+  for motion in motions:
+    if motion.mirror not in names:
+      raise ValueError(
+        f'{motion.name} is mirrored by {motion.mirror!r}, which is not in the '
+        'mode set: add it or train without symmetry.'
+      )
+  legs = len(mini_biped.LEG_JOINTS)
+  exchanged = np.roll(np.arange(2 * legs), legs)
+  paired = {'joints_pos': exchanged, 'joints_vel': exchanged, 'contact': [1, 0]}
+  layout = observations.layout(codebook.latent_dim)
+  if with_privileged:
+    layout += privileged.layout(codebook.latent_dim)
+  orders, signs, commands, start = [], [], [], 0
+  for name, size in layout:
+    orders.append(start + np.asarray(paired.get(name, np.arange(size))))
+    signs.append(np.array(_SIGNS.get(name, (1,) * size), dtype=np.float32))
+    commands += [start] if name in _COMMANDS else []
+    start += size
+  return MirrorImage(
+    np.concatenate(orders),
+    np.concatenate(signs),
+    exchanged,
+    np.ones(len(exchanged), dtype=np.float32),
+    np.array([names.index(motion.mirror) for motion in motions]),
+    np.array([-1.0 if m.half_cycle_symmetric else 1.0 for m in motions], 'f4'),
+    tuple(commands),
+  )

@@ -1,0 +1,251 @@
+"""Reaching a place by mode commands, as an environment: anyone may plan.
+
+    env = suite.load('multimode_biped', 'reach_gap')
+    timestep = env.reset()
+    while not timestep.last():
+      timestep = env.step(env.mode_names.index('leap_forward'))
+
+The policy that turns commands into motion is part of the environment.
+"""
+
+import os
+from typing import Any, Callable
+
+from dm_control import composer
+import dm_env
+from dm_env import specs
+import numpy as np
+
+from dmc_multimode.arenas import terrain as terrain_lib
+from dmc_multimode.suite.imitation import composer_task
+from dmc_multimode.suite.imitation import observations
+from dmc_multimode.suite.reaching import problem as reaching
+
+_NEEDED = ('motions', 'codebook', 'config', 'select_action')
+
+
+def load_policy(
+  policy: str | os.PathLike[str] | reaching.Policy,
+) -> reaching.Policy:
+  """Returns a policy that is named, or checks one that is given.
+
+  Args:
+    policy: name of a shipped one, a folder, or what acts like one.
+
+  Raises:
+    FileNotFoundError: there is no such policy; the message lists those there
+      are.
+    TypeError: the object lacks a part of `reaching.Policy`.
+    ValueError: the policy knows no mode, or its files are damaged.
+  """
+  if isinstance(policy, (str, os.PathLike)):
+    # The one arrow from the suite up to trained policies, which know the suite:
+    # an environment that is to work by its name alone must find its policy. It
+    # is drawn late, so that to load the suite needs neither them nor torch.
+    from dmc_multimode import pretrained
+
+    return pretrained.load(policy)
+  lacking = [name for name in _NEEDED if not hasattr(policy, name)]
+  if lacking:
+    raise TypeError(
+      f'policy must be the name of a shipped policy, a folder, or an object '
+      f'with {", ".join(_NEEDED)}; {policy!r} has no {", ".join(lacking)}.'
+    )
+  if not policy.motions:
+    raise ValueError(f'policy must know at least one mode, not {policy!r}')
+  return policy
+
+
+class ReachingEnvironment(dm_env.Environment):
+  """One step commands one mode for one knot; a policy moves the robot.
+
+  An action is the index of a mode, see `mode_names`. The reward is the sum of
+  exp(-|goal - p|) over the knot's control steps, p being the position of the
+  trunk in metres, and zero from a fall on. An episode ends with the last knot,
+  with discount 1, or with a fall, with discount 0.
+
+  Observations are float64 and of the end of a knot. With M modes:
+
+    goal [3]: from the trunk to the goal, world frame, metres
+    clock [2]: sine and cosine of 2 pi times the running mode's phase
+    height [1]: of the trunk over the support plane under it, metres
+    orientation [4]: quaternion (w, x, y, z) of the trunk, w >= 0, relative to
+      the commanded heading, which is the world's unless a mode turns
+    joints_pos [10]: radians
+    velocity [3]: of the trunk, trunk frame, m/s
+    angular_velocity [3]: of the trunk, trunk frame, rad/s
+    joints_vel [10]: rad/s
+    mode [M]: 1 for the running mode, 0 for the others
+    knots_left [1]: share of the episode's knots that are left, 1 to 0
+    ground [30]: height of the ground 0.05, 0.1, ... 1.5 m ahead of the trunk
+      along the track (the world's x) over the support plane, metres; -1 over a
+      gap
+
+  The paper's planner sees none of it.
+  """
+
+  def __init__(
+    self,
+    environment: composer.Environment,
+    policy: reaching.Policy,
+    problem: Callable[[terrain_lib.Terrain], reaching.ReachingConfig],
+  ):
+    """Takes over an environment.
+
+    Args:
+      environment: of an `Imitation` task made for `policy`, whose schedule
+        holds one command and whose episodes no time limit ends.
+      policy: turns commands into motion.
+      problem: what is asked on a terrain (a batch of one). All knots last
+        equally long; their number and the goal may differ from episode to
+        episode. The seeds in it are not used.
+
+    Raises:
+      ValueError: a knot is no whole number of control steps, or the goal is not
+        over the track.
+    """
+    self._environment, self._policy = environment, policy
+    self._task: composer_task.Imitation = environment.task
+    self._problem = problem
+    self._pose_problem()
+    self._knot_steps = reaching.knot_steps(
+      self._config, environment.control_timestep()
+    )
+    self._knot, self._over = 0, True
+
+  def _pose_problem(self) -> None:
+    """Asks what is asked on the terrain that stands now."""
+    self._config = self._problem(self._terrain)
+    reaching.check_goal(self._config.goal, self._terrain)
+
+  @property
+  def _terrain(self) -> terrain_lib.Terrain:
+    return self._task.root_entity.terrain
+
+  @property
+  def inner(self) -> composer.Environment:
+    """The environment of the control steps; a video hooks into it."""
+    return self._environment
+
+  @property
+  def task(self) -> composer_task.Imitation:
+    """The low-level policy's task."""
+    return self._task
+
+  @property
+  def physics(self) -> Any:
+    """A weak proxy of the physics; renders."""
+    return self._environment.physics
+
+  @property
+  def random_state(self) -> np.random.RandomState:
+    """Source of all randomness."""
+    return self._environment.random_state
+
+  @property
+  def mode_names(self) -> tuple[str, ...]:
+    """Names of the modes in the order of their indices."""
+    return tuple(motion.name for motion in self._policy.motions)
+
+  @property
+  def goal(self) -> np.ndarray:
+    """Of the trunk in the episode that `reset` began, world metres, [3]."""
+    return np.array(self._config.goal)
+
+  @property
+  def knots(self) -> int:
+    """Steps of this episode if the robot does not fall."""
+    return self._config.knots
+
+  @property
+  def reached(self) -> bool:
+    """Whether the robot is at the goal now, upright; see `reaching.reached`."""
+    qpos = self.physics.data.qpos[None]
+    return bool(reaching.reached(qpos, self._terrain, self.goal)[0])
+
+  def control_timestep(self) -> float:
+    """Seconds of a knot."""
+    return self._config.knot_duration
+
+  def action_spec(self) -> specs.DiscreteArray:
+    """The index of a mode."""
+    return specs.DiscreteArray(len(self.mode_names), name='mode')
+
+  def reward_spec(self) -> specs.BoundedArray:
+    """From 0 to the number of control steps in a knot."""
+    return specs.BoundedArray((), float, 0.0, self._knot_steps, 'reward')
+
+  def observation_spec(self) -> dict[str, specs.Array]:
+    """Float64 arrays by name; see the class."""
+    return {
+      name: specs.Array(part.shape, part.dtype, name)
+      for name, part in self._observe().items()
+    }
+
+  def reset(self) -> dm_env.TimeStep:
+    """Begins an episode."""
+    self._environment.reset()
+    self._pose_problem()
+    self._knot, self._over = 0, False
+    return dm_env.restart(self._observe())
+
+  def step(self, action: int | np.ndarray) -> dm_env.TimeStep:
+    """Commands a mode and runs one knot; after an episode's end, resets.
+
+    Args:
+      action: index of the mode.
+
+    Raises:
+      ValueError: that is none.
+    """
+    if self._over:
+      return self.reset()
+    mode = self._checked(action)
+    self._task.command(self.physics, mode, self.random_state)
+    reward, end = self._run_knot()
+    self._knot += 1
+    self._over = end.last() or self._knot >= self._config.knots
+    kind = dm_env.StepType.LAST if self._over else dm_env.StepType.MID
+    return dm_env.TimeStep(kind, reward, end.discount, self._observe())
+
+  def _checked(self, action: int | np.ndarray) -> int:
+    index, names = np.asarray(action), self.mode_names
+    is_index = index.shape == () and np.issubdtype(index.dtype, np.integer)
+    if not (is_index and 0 <= index < len(names)):
+      listed = ', '.join(f'{i} {name}' for i, name in enumerate(names))
+      raise ValueError(
+        f'An action is the index of a mode ({listed}), got {action!r}.'
+      )
+    return int(index)
+
+  def _run_knot(self) -> tuple[float, dm_env.TimeStep]:
+    """Returns the reward, and the time step of the last control step."""
+    reward = 0.0
+    for _ in range(self._knot_steps):
+      seen = observations.flatten(self._task.observation)
+      action = self._policy.select_action(seen)[0].astype(np.float64)
+      timestep = self._environment.step(action)
+      if timestep.discount:
+        position = self.physics.data.qpos[None, :3]
+        reward += float(reaching.rewards(position, self.goal)[0])
+      if timestep.last():
+        break
+    return reward, timestep
+
+  def _observe(self) -> dict[str, np.ndarray]:
+    """Returns copies: what the policy sees, but the mode for its latent."""
+    parts = self._task.observation
+    parts.pop('command')
+    position = self.physics.data.qpos[:3]
+    running = self.mode_names.index(self._task.mode)
+    return {
+      'goal': self.goal - position,
+      **{name: part[0].copy() for name, part in parts.items()},
+      'mode': np.eye(len(self.mode_names))[running],
+      'knots_left': np.array([1 - self._knot / self._config.knots]),
+      'ground': reaching.ground_ahead(self._terrain, position[:1])[0],
+    }
+
+  def close(self) -> None:
+    """Frees the physics."""
+    self._environment.close()

@@ -1,0 +1,257 @@
+"""Reaching a place by mode commands alone (Sec. II-E): what is asked.
+
+A plan commands a mode at each of k knots, dt seconds apart. It sees neither the
+robot nor the ground; a low-level policy turns its commands into motion. What a
+plan is worth is the sum of exp(-|goal - p|) over the control steps, p being the
+position of the trunk.
+"""
+
+import dataclasses
+import math
+from typing import Mapping, NamedTuple, Protocol
+
+import numpy as np
+
+from dmc_multimode.arenas import terrain as terrain_lib
+from dmc_multimode.arenas import track as track_lib
+from dmc_multimode.modes import codebook as codebook_lib
+from dmc_multimode.modes import library
+from dmc_multimode.modes import reference
+from dmc_multimode.suite.imitation import config as config_lib
+from dmc_multimode.suite.imitation import terminations
+
+_NEAR_X, _NEAR_Z = 0.3, 0.12  # Metres from the goal that count as there.
+_UPRIGHT = 0.7  # Cosine of the trunk's tilt.
+
+RANDOM_TRACK = 'parkour'
+_BEYOND = 0.4  # Metres behind the last edge of a random track: the goal.
+_SPEED = 0.3  # m/s at least that time is left for.
+_RANDOM_KNOT = 0.15  # Seconds.
+
+AHEAD = tuple(0.05 * i for i in range(1, 31))  # Metres at which ground is seen.
+GAP = -1.0  # Metres: what `ground_ahead` says where nothing is.
+
+
+class Policy(Protocol):
+  """What turns commands into motion; `pretrained.Policy` does."""
+
+  @property
+  def motions(self) -> tuple[reference.ReferenceMotion, ...]:
+    """The modes that it knows."""
+
+  @property
+  def codebook(self) -> codebook_lib.Codebook:
+    """Their latents."""
+
+  @property
+  def config(self) -> config_lib.ImitationConfig:
+    """The task that it was trained for."""
+
+  def select_action(self, observations: np.ndarray) -> np.ndarray:
+    """Joint targets [B, 10] for observations [B, D], without exploration."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ReachingConfig:
+  """What is to be reached, and how a plan is cut up.
+
+  Attributes:
+    goal: of the trunk in the world, metres (x, y, z).
+    knots: of the plan.
+    knot_duration: seconds from knot to knot.
+    seed: of the terrain and of the initial state's noise.
+  """
+
+  goal: tuple[float, float, float] = (2.0, 0.0, 0.5)
+  knots: int = 11
+  knot_duration: float = 0.3
+  seed: int = 0
+
+  def __post_init__(self) -> None:
+    if len(self.goal) != 3 or not np.isfinite(self.goal).all():
+      raise ValueError(f'A goal is x, y and z in metres, got {self.goal}.')
+    if self.knots < 1:
+      raise ValueError(f'A plan has at least one knot, got {self.knots}.')
+    if not (np.isfinite(self.knot_duration) and self.knot_duration > 0):
+      raise ValueError(
+        f'Knots must last longer than 0 s, got {self.knot_duration}.'
+      )
+    if self.seed < 0:
+      raise ValueError(f'seed must not be negative, got {self.seed}.')
+
+
+class Problem(NamedTuple):
+  """A track of the paper's Table III.
+
+  Attributes:
+    goal: of the trunk, metres.
+    knots: of a plan.
+    knot_duration: seconds from knot to knot.
+    paper_seconds: that the paper's planner took for it.
+  """
+
+  goal: tuple[float, float, float]
+  knots: int
+  knot_duration: float
+  paper_seconds: float
+
+  def config(self, seed: int) -> ReachingConfig:
+    """Returns the problem with that start."""
+    return ReachingConfig(self.goal, self.knots, self.knot_duration, seed)
+
+
+PROBLEMS: Mapping[str, Problem] = {  # By the name of the track.
+  'gap': Problem((2.0, 0.0, 0.5), 11, 0.3, 185.0),
+  'plateau': Problem((2.0, 0.0, 0.5), 11, 0.3, 213.0),
+  'gap_block': Problem((2.0, 0.0, 0.9), 30, 0.15, 161.0),
+}
+
+
+TRACKS = (*PROBLEMS, RANDOM_TRACK)
+
+
+def problem(
+  track: str, terrain: terrain_lib.Terrain, seed: int = 0
+) -> ReachingConfig:
+  """Returns what is asked on a track.
+
+  Args:
+    track: one of `TRACKS`.
+    terrain: a batch of one, as the track drew it.
+    seed: that it was drawn with.
+  """
+  if track in PROBLEMS:
+    return PROBLEMS[track].config(seed)
+  last = np.flatnonzero(np.isfinite(terrain.starts[0]))[-1]
+  x = float(terrain.starts[0, last]) + _BEYOND
+  z = float(terrain.tops[0, last]) + library.STAND_HEIGHT
+  return ReachingConfig(
+    (x, 0.0, z), round(x / _SPEED / _RANDOM_KNOT), _RANDOM_KNOT, seed
+  )
+
+
+def random_problem(seed: int) -> ReachingConfig:
+  """Returns how to cross the random track that is drawn with a seed."""
+  track = track_lib.make(RANDOM_TRACK)
+  terrain = track.generate(np.random.RandomState(seed))
+  return problem(RANDOM_TRACK, terrain, seed)
+
+
+def within(config: ReachingConfig, time_limit: float | None) -> ReachingConfig:
+  """Returns the problem with as many knots as fit into a time.
+
+  Args:
+    config: the problem.
+    time_limit: seconds; None leaves the problem as it is.
+
+  Raises:
+    ValueError: no knot fits.
+  """
+  if time_limit is None:
+    return config
+  if not config.knot_duration <= time_limit < math.inf:
+    raise ValueError(
+      f'time_limit must have room for a knot, {config.knot_duration} s, got '
+      f'{time_limit}.'
+    )
+  knots = math.floor(time_limit / config.knot_duration + 1e-6)
+  return dataclasses.replace(config, knots=knots)
+
+
+def task_config(
+  policy: Policy, reaching: ReachingConfig
+) -> config_lib.ImitationConfig:
+  """Returns the policy's task without a reference to be lost."""
+  task = policy.config
+  duration = reaching.knots * reaching.knot_duration
+  return dataclasses.replace(
+    config_lib.for_evaluation(task),
+    limits=terminations.falls_alone(task.limits),
+    time_limit=max(duration, task.control_timestep),
+  )
+
+
+def knot_steps(reaching: ReachingConfig, control_timestep: float) -> int:
+  """Returns the control steps of a knot.
+
+  Raises:
+    ValueError: that is no whole number.
+  """
+  duration = reaching.knot_duration
+  steps = round(duration / control_timestep)
+  if steps < 1 or abs(steps * control_timestep - duration) > 1e-6:
+    raise ValueError(
+      f'A knot of {duration} s is no multiple of the control step, '
+      f'{control_timestep} s.'
+    )
+  return steps
+
+
+def check_goal(goal: tuple[float, ...], terrain: terrain_lib.Terrain) -> None:
+  """Raises ValueError where a trunk cannot be at the goal.
+
+  Args:
+    goal: x, y and z, world metres.
+    terrain: a batch of one.
+  """
+  used = np.isfinite(terrain.starts)
+  first, last = terrain.starts[used].min(), terrain.ends[used].max()
+  on_top = used & (terrain.starts <= goal[0]) & (goal[0] <= terrain.ends)
+  if not on_top.any():
+    raise ValueError(
+      f'The goal, x = {goal[0]:g} m, is not over the track, which runs from '
+      f'{first:g} to {last:g} m and has gaps.'
+    )
+  top = float(terrain.tops[on_top].max())
+  if not 0 < goal[2] - top < 1:
+    raise ValueError(
+      f'The goal, z = {goal[2]:g} m, is not where a trunk can be over the '
+      f'ground at {top:g} m.'
+    )
+
+
+def rewards(position: np.ndarray, goal: np.ndarray) -> np.ndarray:
+  """Returns exp(-|goal - p|) of a control step, [B].
+
+  Args:
+    position: p, of the trunk, world metres, [B, 3].
+    goal: world metres, [3].
+  """
+  return np.exp(-np.linalg.norm(goal - position, axis=-1))
+
+
+def reached(
+  qpos: np.ndarray, terrain: terrain_lib.Terrain, goal: np.ndarray
+) -> np.ndarray:
+  """Returns who stands at the goal, or past it on the same support, [B].
+
+  Args:
+    qpos: generalised positions, [B, 17].
+    terrain: under the B robots.
+    goal: world metres, [3].
+  """
+  x, z = qpos[:, 0], qpos[:, 2]
+  at_goal = terrain_lib.support_height(terrain, np.full_like(x, goal[0]))
+  same = terrain_lib.support_height(terrain, x) == at_goal
+  there = np.abs(x - goal[0]) <= _NEAR_X
+  there |= (x > goal[0]) & same
+  # The third column of the rotation matrix: how upright the trunk is.
+  up = 1 - 2 * (qpos[:, 4] ** 2 + qpos[:, 5] ** 2)
+  return there & (np.abs(z - goal[2]) <= _NEAR_Z) & (up > _UPRIGHT)
+
+
+def ground_ahead(terrain: terrain_lib.Terrain, x: np.ndarray) -> np.ndarray:
+  """Returns the heights of the ground `AHEAD` of robots, metres, [B, 30].
+
+  They are relative to the support planes under the robots, and `GAP` where
+  there is no ground.
+
+  Args:
+    terrain: under the B robots.
+    x: of their trunks, world metres, [B].
+  """
+  at = (x[:, None] + np.array(AHEAD))[:, :, None]
+  starts, ends, tops = (field[:, None] for field in terrain)
+  top = np.where((starts <= at) & (at <= ends), tops, -np.inf).max(axis=-1)
+  support = terrain_lib.support_height(terrain, x)[:, None]
+  return np.where(np.isfinite(top), top - support, GAP)

@@ -1,0 +1,310 @@
+"""The suite's tasks as Gymnasium environments; needs the extra `gym`.
+
+    import gymnasium
+    from dmc_multimode.suite.wrappers import gymnasium_env
+    env = gymnasium.make('dmc_multimode/walk_forward-v0')
+    envs = gymnasium.make_vec('dmc_multimode/walk_forward-v0', num_envs=64)
+
+Importing this module registers every task of the suite. Many environments of an
+imitation task are one batch of worlds, stepped in one call; `make_vec` with
+`vectorization_mode='sync'` or `'async'` makes as many single ones instead.
+"""
+
+from typing import Any, Mapping
+
+import dm_env
+from dm_env import specs
+import numpy as np
+
+from dmc_multimode import suite
+from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite.imitation import batched_env
+from dmc_multimode.suite.imitation import composer_task
+from dmc_multimode.suite.imitation import observations
+
+try:
+  import gymnasium
+except ModuleNotFoundError:
+  raise ModuleNotFoundError(
+    'Gymnasium is not installed: pip install dmc_multimode[gym]',
+    name='gymnasium',
+  ) from None
+
+NAMESPACE = 'dmc_multimode'
+_VERSION = 0
+_SEEDS = 2**32  # As many as a RandomState takes.
+
+
+class GymnasiumEnv(gymnasium.Env[np.ndarray, Any]):
+  """One task of the suite behind Gymnasium's interface.
+
+  Observations are flat, float32 [D], their parts in the order of the task's
+  `observation_spec`. Actions are the task's: joint targets in radians, float32
+  [10], or the index of a mode.
+  """
+
+  metadata: dict[str, Any] = {'render_modes': ['rgb_array']}
+
+  def __init__(
+    self,
+    environment: dm_env.Environment,
+    render_mode: str | None = None,
+    width: int = 640,
+    height: int = 480,
+    camera: str = 'walker/side',
+  ):
+    """Takes over an environment.
+
+    Args:
+      environment: as `suite.load` returns it, of a task of ours.
+      render_mode: None or 'rgb_array'.
+      width, height: of the frames, pixels.
+      camera: of the model, whose view is rendered.
+
+    Raises:
+      ValueError: the render mode is unknown.
+    """
+    if render_mode not in (None, *self.metadata['render_modes']):
+      raise ValueError(
+        f'Unknown render mode {render_mode!r}: use None or "rgb_array".'
+      )
+    self._environment, self._task = environment, environment.task
+    self._episodes = self._task.episodes.state()
+    self._over, self._closed = True, False
+    self.render_mode = render_mode
+    self._view = {'width': width, 'height': height, 'camera_id': camera}
+    rate = round(1 / environment.control_timestep())
+    self.metadata = {**self.metadata, 'render_fps': rate}
+    parts = environment.observation_spec().values()
+    self.observation_space = gymnasium.spaces.Box(
+      -np.inf, np.inf, (sum(part.shape[0] for part in parts),), np.float32
+    )
+    self.action_space = _space(environment.action_spec())
+
+  def reset(
+    self, *, seed: int | None = None, options: dict[str, Any] | None = None
+  ) -> tuple[np.ndarray, dict[str, Any]]:
+    """Begins an episode; see `gymnasium.Env.reset`.
+
+    Args:
+      seed: of everything random from here on. What an adaptive sampler has
+        learned is forgotten as well, so that equal seeds and actions lead to
+        equal episodes.
+      options: none are known.
+    """
+    super().reset(seed=seed, options=options)
+    if seed is not None:
+      # Ends the running episode: what it teaches the sampler must not outlast
+      # the seeding.
+      self._environment.reset()
+      self._task.episodes.restore(self._episodes)
+      self._environment.random_state.seed(self.np_random.integers(_SEEDS))
+    self._over = False
+    return self._see(self._environment.reset())
+
+  def step(
+    self, action: Any
+  ) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+    """Applies an action of `action_space`; see `gymnasium.Env.step`.
+
+    Raises:
+      gymnasium.error.ResetNeeded: no episode is running.
+    """
+    if self._over:
+      raise gymnasium.error.ResetNeeded('Call reset() to begin an episode.')
+    timestep = self._environment.step(np.asarray(action))
+    self._over = timestep.last()
+    terminated = self._over and timestep.discount == 0.0
+    truncated = self._over and not terminated
+    observation, info = self._see(timestep)
+    return observation, float(timestep.reward), terminated, truncated, info
+
+  def _see(
+    self, timestep: dm_env.TimeStep
+  ) -> tuple[np.ndarray, dict[str, Any]]:
+    """Returns the flat observation and the info."""
+    flat = observations.flatten(timestep.observation)
+    return flat, {'mode': self._task.mode}
+
+  def render(self) -> np.ndarray | None:
+    """Returns a frame, uint8 [height, width, 3]; None without render mode."""
+    if self.render_mode is None:
+      return None
+    return self._environment.physics.render(**self._view)
+
+  def close(self) -> None:
+    """Frees the physics; doing so again is harmless."""
+    if not self._closed:
+      self._closed = True
+      self._environment.close()
+
+
+class BatchedVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
+  """The worlds of one `BatchedImitation` behind Gymnasium's vector interface.
+
+  Observations are float32 [B, D], actions joint targets in radians, float32
+  [B, 10]. A world that ends begins anew in the same step; what it saw last is
+  `final_obs` of the infos.
+  """
+
+  metadata: dict[str, Any] = {
+    'autoreset_mode': gymnasium.vector.AutoresetMode.SAME_STEP
+  }
+
+  def __init__(self, task: composer_task.Imitation, num_envs: int):
+    """Compiles the task's model for B worlds.
+
+    Args:
+      task: its own physics is not touched.
+      num_envs: B.
+
+    Raises:
+      ValueError: B is not positive.
+    """
+    if num_envs < 1:
+      raise ValueError(f'num_envs must be positive, got {num_envs}.')
+    self.num_envs = num_envs
+    # The worlds draw from it, and `reset` seeds it.
+    self._random_state = np.random.RandomState()
+    self._worlds = batched_env.BatchedImitation(
+      task, num_envs, self._random_state
+    )
+    self._untaught, self._begun = self._worlds.state(), False
+    self._names = np.array([motion.name for motion in task.motions], object)
+    self.single_observation_space = gymnasium.spaces.Box(
+      -np.inf, np.inf, self._worlds.observation_spec().shape, np.float32
+    )
+    self.single_action_space = _space(self._worlds.action_spec())
+    batch = gymnasium.vector.utils.batch_space
+    self.observation_space = batch(self.single_observation_space, num_envs)
+    self.action_space = batch(self.single_action_space, num_envs)
+
+  def reset(
+    self, *, seed: int | None = None, options: dict[str, Any] | None = None
+  ) -> tuple[np.ndarray, dict[str, Any]]:
+    """Begins an episode in every world; see `gymnasium.vector.VectorEnv`.
+
+    Args:
+      seed: of everything random from here on, in all worlds together. What an
+        adaptive sampler has learned is forgotten as well.
+      options: none are known.
+    """
+    super().reset(seed=seed, options=options)
+    if seed is not None:
+      self._worlds.restore(self._untaught)
+      self._random_state.seed(self.np_random.integers(_SEEDS))
+    self._begun = True
+    return self._worlds.reset(), self._modes()
+
+  def step(
+    self, actions: Any
+  ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    """Applies actions of `action_space`; see `gymnasium.vector.VectorEnv`.
+
+    Raises:
+      gymnasium.error.ResetNeeded: nothing has begun.
+    """
+    if not self._begun:
+      raise gymnasium.error.ResetNeeded('Call reset() to begin episodes.')
+    before = self._modes()['mode']
+    step = self._worlds.step(np.asarray(actions))
+    terminated = step.last & (step.discount == 0.0)
+    infos = self._modes()
+    if step.last.any():
+      final = np.full(self.num_envs, None)
+      for world, seen in zip(
+        step.results.worlds, step.final_observation, strict=True
+      ):
+        final[world] = seen
+      infos |= {
+        'final_obs': final,
+        '_final_obs': step.last.copy(),
+        'final_info': {'mode': before, '_mode': step.last.copy()},
+        '_final_info': step.last.copy(),
+      }
+    truncated = step.last & ~terminated
+    return step.observation, step.reward, terminated, truncated, infos
+
+  def _modes(self) -> dict[str, Any]:
+    """Returns the infos that every step has: the running modes, [B]."""
+    modes = self._names[self._worlds.core.tracker.state.mode]
+    return {'mode': modes, '_mode': np.ones(self.num_envs, dtype=bool)}
+
+
+def _space(spec: specs.BoundedArray) -> gymnasium.Space[Any]:
+  """Returns the space of what a specification allows."""
+  if isinstance(spec, specs.DiscreteArray):
+    return gymnasium.spaces.Discrete(spec.num_values)
+  low, high = (
+    bound.astype(np.float32) for bound in (spec.minimum, spec.maximum)
+  )
+  return gymnasium.spaces.Box(low, high)
+
+
+def make(
+  task: str,
+  render_mode: str | None = None,
+  time_limit: float | None = None,
+  task_kwargs: Mapping[str, Any] | None = None,
+  **kwargs: Any,
+) -> GymnasiumEnv:
+  """Loads a task of the suite; the entry point of Gymnasium's registry.
+
+  Args:
+    task: of the domain `multimode_biped`.
+    render_mode: None or 'rgb_array'.
+    time_limit: length of an episode, seconds; the task's own by default.
+    task_kwargs: further arguments of the task's factory, such as `policy`.
+    **kwargs: further arguments of `GymnasiumEnv`.
+
+  Raises:
+    ValueError: the task or the render mode is unknown.
+  """
+  environment = suite.load(
+    suite.DOMAIN, task, {'time_limit': time_limit, **(task_kwargs or {})}
+  )
+  return GymnasiumEnv(environment, render_mode, **kwargs)
+
+
+def make_vector(
+  task: str,
+  num_envs: int = 1,
+  time_limit: float | None = None,
+  task_kwargs: Mapping[str, Any] | None = None,
+) -> BatchedVectorEnv:
+  """Loads many worlds of a task; the vector entry point of the registry.
+
+  Args:
+    task: of the domain `multimode_biped`, whose actions are joint targets.
+    num_envs: B.
+    time_limit: length of an episode, seconds; the task's own by default.
+    task_kwargs: further arguments of the task's factory, such as `config`.
+
+  Raises:
+    ValueError: the task is unknown, or B is not positive.
+  """
+  kwargs = {'time_limit': time_limit, **(task_kwargs or {})}
+  environment = suite.load(suite.DOMAIN, task, kwargs)
+  return BatchedVectorEnv(environment.task, num_envs)
+
+
+def environment_id(task: str) -> str:
+  """Returns the name of a task in Gymnasium's registry."""
+  return f'{NAMESPACE}/{task}-v{_VERSION}'
+
+
+def register() -> None:
+  """Puts all tasks into Gymnasium's registry; doing so again is harmless."""
+  reaching = multimode_biped.SUITE.tagged('reaching')
+  for _, task in suite.ALL_TASKS:
+    if environment_id(task) not in gymnasium.registry:
+      vector = None if task in reaching else make_vector.__name__
+      gymnasium.register(
+        environment_id(task),
+        entry_point=f'{__name__}:{make.__name__}',
+        vector_entry_point=vector and f'{__name__}:{vector}',
+        kwargs={'task': task},
+      )
+
+
+register()

@@ -1,0 +1,64 @@
+"""Where the files that ship with the package lie.
+
+One call serves a wheel, an editable install and a plain checkout. In a wheel
+the folders `xml/`, `flags/` and `pretrained/` lie inside the package; in a
+checkout the first two lie beside it (`setup.cfg` maps them).
+"""
+
+import pathlib
+from typing import get_args, Literal
+
+Kind = Literal['xml', 'flags', 'pretrained']
+
+_PACKAGE = pathlib.Path(__file__).resolve().parents[1]
+_IS_DATA = {
+  'xml': lambda entry: entry.suffix == '.xml',
+  'flags': lambda entry: entry.suffix == '.flags',
+  'pretrained': lambda entry: entry.is_dir() and entry.name != '__pycache__',
+}
+
+
+def path(kind: Kind, name: str) -> pathlib.Path:
+  """Finds a shipped file or folder.
+
+  Args:
+    kind: `'xml'` (models), `'flags'` (absl flagfiles) or `'pretrained'`
+      (a folder for each policy or encoder).
+    name: Name below the folder of that kind, such as `'mini_biped.xml'`,
+      `'quickstart.flags'`, `'quickstart'`. Forward slashes on every system.
+
+  Returns:
+    An absolute path that exists.
+
+  Raises:
+    FileNotFoundError: If nothing of that name is shipped; the message lists
+      what is. A name that leads out of the folder counts as not shipped.
+    ValueError: If `kind` is unknown.
+  """
+  parts = pathlib.PurePosixPath(name).parts
+  inside = parts and '..' not in parts and not name.startswith('/')
+  found = _folder(kind).joinpath(*parts) if inside else None
+  if found is None or not found.exists():
+    shipped = ', '.join(names(kind)) or 'nothing'
+    raise FileNotFoundError(f'no {kind} named {name!r}; there is: {shipped}')
+  return found
+
+
+def names(kind: Kind) -> list[str]:
+  """Names of what is shipped of a kind, sorted, as `path` takes them."""
+  entries = _folder(kind).iterdir()
+  return sorted(entry.name for entry in entries if _IS_DATA[kind](entry))
+
+
+def _folder(kind: Kind) -> pathlib.Path:
+  """The folder of a kind: inside the package, or beside it in a checkout."""
+  if kind not in get_args(Kind):
+    raise ValueError(f'kind must be one of {get_args(Kind)}, got {kind!r}')
+  inside = _PACKAGE / kind
+  beside = _PACKAGE.parent / kind
+  is_checkout = (_PACKAGE.parent / 'setup.cfg').is_file()
+  if not inside.is_dir() and is_checkout and beside.is_dir():
+    return beside
+  if inside.is_dir():
+    return inside
+  raise FileNotFoundError(f'no folder {inside}: the installation is damaged')

@@ -1,0 +1,102 @@
+"""A value that changes along a training, by its environment steps."""
+
+import re
+from typing import Annotated, Any, Literal
+
+import pydantic
+from pydantic import dataclasses as pydantic_dataclasses
+
+from dmc_multimode.utils import config
+
+_TEXT = re.compile(
+  r'(?P<first>[^:@]+)(:(?P<last>[^:@]+))?'
+  r'(@(?P<start>[^:@]+)(:(?P<end>[^:@]+))?)?'
+)
+
+
+@pydantic_dataclasses.dataclass(frozen=True, config=config.STRICT)
+class Schedule:
+  """A value over environment steps, summed over all worlds.
+
+  It is `first` before `start`, `last` from `end` on, and in between moves from
+  the one to the other. With `start` equal to `end` it jumps.
+
+  Attributes:
+    first: value at the beginning.
+    last: value at the end.
+    start, end: environment steps.
+    interpolation: 'linear', or 'geometric' for what is positive.
+  """
+
+  first: float
+  last: float
+  start: config.Count = 0
+  end: config.Count = 0
+  interpolation: Literal['linear', 'geometric'] = 'linear'
+
+  def __post_init__(self) -> None:
+    if self.start > self.end:
+      raise ValueError(
+        f'a schedule cannot end at step {self.end:,}, before it starts at '
+        f'{self.start:,}'
+      )
+    if self.interpolation == 'geometric' and min(self.first, self.last) <= 0:
+      raise ValueError('a geometric schedule needs positive values')
+
+  def at(self, steps: int) -> float:
+    """Returns the value after so many environment steps."""
+    if steps >= self.end:
+      return self.last
+    if steps < self.start:
+      return self.first
+    share = (steps - self.start) / (self.end - self.start)
+    if self.interpolation == 'geometric':
+      return float(self.first * (self.last / self.first) ** share)
+    return self.first + share * (self.last - self.first)
+
+
+def constant(value: float) -> Schedule:
+  """Returns the schedule that is always `value`."""
+  return Schedule(value, value)
+
+
+def parse(text: str) -> Schedule:
+  """Returns the schedule of a text FIRST[:LAST][@START[:END]].
+
+  `0.5` stays, `0:0.5@8e6` jumps after 8 million steps, `0.5:0.1@10e6:14e6`
+  takes from 10 to 14 million.
+
+  Raises:
+    ValueError: the text is none; the message shows the form.
+  """
+  match = _TEXT.fullmatch(text.strip())
+  try:
+    if match is None:
+      raise ValueError
+    first = float(match['first'])
+    start = float(match['start'] or 0)
+    last = first if match['last'] is None else float(match['last'])
+    end = start if match['end'] is None else float(match['end'])
+    if start % 1 or end % 1:
+      raise ValueError
+    return Schedule(first, last, int(start), int(end))
+  except (OverflowError, ValueError) as error:
+    if isinstance(error, pydantic.ValidationError):
+      raise ValueError(config.describe(error)) from error
+    raise ValueError(
+      f'{text!r} is no schedule FIRST[:LAST][@START[:END]], such as 0.5, '
+      '0:0.5@8e6 or 0.5:0.1@10e6:14e6'
+    ) from error
+
+
+def _convert(value: Any) -> Any:
+  """Takes a number, or a text as `parse` does, for a schedule."""
+  if isinstance(value, str):
+    return parse(value)
+  if type(value) in (int, float):
+    return constant(value)
+  return value
+
+
+# The type of a field that is a schedule; a number or a text will do as well.
+ScheduleField = Annotated[Schedule, pydantic.BeforeValidator(_convert)]

@@ -1,0 +1,93 @@
+"""Chooses how MuJoCo draws, before dm_control is imported.
+
+dm_control reads MUJOCO_GL when it is imported; unset, it takes GLFW even on a
+machine without a display and fails at the first frame. A failed attempt also
+leaves PyOpenGL unusable in that process, so backends are tried in another.
+
+`python -m dmc_multimode.viewer.gl` prints the backend that works here.
+"""
+
+import os
+import subprocess
+import sys
+from typing import Callable
+
+VARIABLE = 'MUJOCO_GL'
+BACKENDS = ('egl', 'osmesa')  # Both draw without a display; egl is faster.
+HELP = (
+  'no OpenGL for drawing without a display; on Debian: '
+  'apt-get install libegl1 libgl1-mesa-dri (or libosmesa6)'
+)
+
+# Returns why a backend cannot draw, None if it can.
+Probe = Callable[[str], str | None]
+
+_DRAW = (
+  'from dm_control import mujoco; '
+  "mujoco.Physics.from_xml_string('<mujoco/>').render(16, 16)"
+)
+_TIMEOUT = 60.0  # Seconds; a frame and its imports take about 0.7.
+
+
+def why_not(backend: str) -> str | None:
+  """Draws one frame with a backend in a process of its own.
+
+  Args:
+    backend: A value of MUJOCO_GL.
+
+  Returns:
+    None if it drew, else the reason in one line.
+  """
+  try:
+    result = subprocess.run(
+      [sys.executable, '-c', _DRAW],
+      env={**os.environ, VARIABLE: backend},
+      stdin=subprocess.DEVNULL,
+      capture_output=True,
+      text=True,
+      timeout=_TIMEOUT,
+    )
+  except subprocess.TimeoutExpired:
+    return f'no frame within {_TIMEOUT:.0f} s'
+  if result.returncode == 0:
+    return None
+  lines = result.stderr.strip().splitlines()
+  return lines[-1] if lines else f'exit code {result.returncode}'
+
+
+def choose_backend(probe: Probe = why_not) -> str:
+  """Sets MUJOCO_GL to a backend that draws; call it before dm_control.
+
+  A value that the user has set is kept, and checked.
+
+  Args:
+    probe: Tells why a backend cannot draw; tests pass their own.
+
+  Returns:
+    The value of MUJOCO_GL.
+
+  Raises:
+    OSError: If no backend, or not the one that the user has set, can draw.
+      One line that says what to install.
+    RuntimeError: If MUJOCO_GL is unset and dm_control is imported already.
+  """
+  chosen = os.environ.get(VARIABLE)
+  if chosen:
+    reason = probe(chosen)
+    if reason is not None:
+      raise OSError(f'{VARIABLE}={chosen} cannot draw here ({reason}): {HELP}')
+    return chosen
+  if 'dm_control._render' in sys.modules:
+    raise RuntimeError('choose_backend() comes before importing dm_control')
+  for backend in BACKENDS:
+    if probe(backend) is None:
+      os.environ[VARIABLE] = backend
+      return backend
+  raise OSError(HELP)
+
+
+if __name__ == '__main__':
+  try:
+    print(choose_backend())
+  except OSError as problem:
+    sys.exit(f'error: {problem}')

@@ -1,0 +1,25 @@
+"""dm_control's own viewer on a session: a window, and keys for the modes."""
+
+import functools
+
+from dm_control.viewer import application
+from dm_control.viewer import user_input
+
+from dmc_multimode.viewer import session as live
+
+_KEYS = 'QWERTYUIO'  # The digits hide groups of geoms.
+
+
+def run(session: live.LiveSession) -> None:
+  """Opens the window; returns when it is closed.
+
+  The viewer steps the robot itself: Backspace resets it, Space stops and goes
+  on, and Ctrl with the mouse pushes.
+  """
+  app = application.Application(f'dmc_multimode: {session.arena}')
+  for letter, mode in zip(_KEYS, session.modes, strict=False):
+    key = getattr(user_input, f'KEY_{letter}')
+    app._input_map.bind(functools.partial(session.command, mode), key)
+    print(f'{letter}  {mode}')
+  robot = session.robot
+  app.launch(robot.environment, lambda timestep: robot.action())

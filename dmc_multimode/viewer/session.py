@@ -1,0 +1,267 @@
+"""A policy that takes commands while it runs; knows of no page and no clock.
+
+Who drives a session calls `step` once a control period and everything else in
+between, all from one thread. Only a search for a plan has a thread of its own.
+"""
+
+import dataclasses
+from typing import NamedTuple, Sequence
+
+import numpy as np
+
+from dmc_multimode import pretrained
+from dmc_multimode.arenas import track
+from dmc_multimode.modes import reference
+from dmc_multimode.modes import schedule as schedule_lib
+from dmc_multimode.planner import beam_search
+from dmc_multimode.planner import plan as plan_lib
+from dmc_multimode.planner import solver
+from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.suite.imitation import episodes
+from dmc_multimode.suite.imitation import terminations
+from dmc_multimode.suite.reaching import problem as reaching
+from dmc_multimode.viewer import live_search
+from dmc_multimode.viewer import robot
+
+CLOCK_RATES = (0.5, 1.5)  # The slowest and the fastest.
+PUSH_SPEEDS = (0.0, 3.0)  # m/s.
+_SEGMENTS = 32  # Places for boxes: so many steps can be launched onto.
+_LIE = 1.2  # Seconds that a robot which has fallen stays where it is.
+_FALLEN = terminations.CAUSES[terminations.FALLEN]
+_INVALID = terminations.CAUSES[terminations.INVALID]
+
+
+class LiveState(NamedTuple):
+  """What a step of a session led to.
+
+  Attributes:
+    step: of the robot; the last one while a state that is not finite waits to
+      be reset.
+    down: whether the robot has fallen, or its state is not finite.
+    notice: what has happened of late, for people; may be empty.
+    searching: how far a search for a plan has come; None without one.
+    plan: the last plan that was found for this track, None before.
+    replaying: whether it is being carried out.
+  """
+
+  step: robot.Step
+  down: bool
+  notice: str
+  searching: solver.Status | None
+  plan: solver.Found | None
+  replaying: bool
+
+
+class LiveSession:
+  """A policy on a track, until it is told otherwise in its first mode.
+
+  Attributes:
+    robot: what runs; another one on every track.
+    arena: name of the track.
+    seed: of the track, if it is random, and of the initial state's noise.
+    clock_rate: of the modes, 1 being their own.
+    notice: see `LiveState`.
+  """
+
+  def __init__(
+    self,
+    policy: pretrained.Policy,
+    arena: str = 'flat',
+    seed: int = 0,
+    planner: beam_search.BeamConfig | None = None,
+    threads: int = 1,
+  ):
+    """Compiles the track.
+
+    Args:
+      policy: what acts.
+      arena: name of a track.
+      seed: see the class.
+      planner: how plans are searched for.
+      threads: of the planner's physics.
+
+    Raises:
+      ValueError: the track is unknown, or the seed is negative.
+    """
+    self._policy, self._planner = policy, planner or beam_search.BeamConfig()
+    self._bank, self._threads = reference.ReferenceBank(policy.motions), threads
+    self._search: live_search.Search | None = None
+    self.clock_rate = 1.0
+    self.set_arena(arena, seed)
+
+  @property
+  def modes(self) -> tuple[str, ...]:
+    """Names of the modes that the policy knows."""
+    return self._bank.names
+
+  def set_arena(self, name: str, seed: int = 0) -> None:
+    """Puts the robot at the start of another track, which forgets the plan.
+
+    Raises:
+      ValueError: the track is unknown, or the seed is negative.
+    """
+    if seed < 0:
+      raise ValueError(f'seed must not be negative, got {seed}.')
+    task = multimode_biped.make_task(
+      self._policy.motions,
+      self._policy.codebook,
+      # As a search begins, so that its plans lead to the same places.
+      episodes.ScheduledEpisodes(schedule_lib.single(np.zeros(1))),
+      track.make(name, _SEGMENTS),
+      dataclasses.replace(
+        task_config.for_evaluation(self._policy.config),
+        limits=terminations.NO_LIMITS,
+      ),
+    )
+    limits = terminations.falls_alone(self._policy.config.limits)
+    self.robot = robot.Robot(self._policy, task, limits, seed)
+    self.arena, self.seed = name, seed
+    self.close()
+    self._plan: solver.Found | None = None
+    self.robot.start()
+    self._start()
+
+  def reset(self) -> None:
+    """Puts the robot back to the start of the track."""
+    self.robot.reset()
+    self._start()
+
+  def _start(self, notice: str = '') -> None:
+    """Forgets what happened before a reset."""
+    self.notice = notice
+    self._replayed: plan_lib.ModePlan | None = None
+    self._lying, self._last = 0, self.robot.here()
+    self.set_clock_rate(self.clock_rate)
+
+  def command(self, mode: str) -> None:
+    """Commands a mode where the robot is; the running one just goes on.
+
+    Raises:
+      ValueError: the policy does not know it, or it calls for a step and the
+        track has no place left for one.
+    """
+    index = self._bank.index(mode)
+    self._replayed, self.notice = None, ''
+    self.robot.command(index)
+
+  def push(self, velocity: Sequence[float]) -> None:
+    """Adds to the velocity of the trunk, world m/s (x, y).
+
+    Raises:
+      ValueError: that is not finite, or faster than `PUSH_SPEEDS` allows.
+    """
+    x, y = velocity
+    if not np.hypot(x, y) <= PUSH_SPEEDS[1]:
+      raise ValueError(f'A push adds at most {PUSH_SPEEDS[1]} m/s.')
+    self.robot.push((x, y, 0.0))
+
+  def set_clock_rate(self, rate: float) -> None:
+    """Lets the modes run faster or slower from now on.
+
+    Raises:
+      ValueError: the rate is not within `CLOCK_RATES`.
+    """
+    slowest, fastest = CLOCK_RATES
+    if not slowest <= rate <= fastest:
+      raise ValueError(
+        f'The clock rate must be within {slowest} and {fastest}, got {rate}.'
+      )
+    self.clock_rate = rate
+    self.robot.task.core.tracker.state.clock_rate[:] = rate
+
+  def plan(self) -> None:
+    """Starts to search for a plan across this track, from its start.
+
+    Raises:
+      ValueError: a search is going on.
+    """
+    if self._search:
+      raise ValueError('A plan is being searched for already.')
+    self._search = live_search.Search(
+      self._policy, self.arena, self._problem(), self._planner, self._threads
+    )
+    self.notice = ''
+
+  def replay(self) -> None:
+    """Carries out the plan from the start, at the modes' own clock rate.
+
+    Raises:
+      ValueError: there is no plan for this track.
+    """
+    if self._plan is None:
+      raise ValueError('There is no plan for this track yet.')
+    self.clock_rate = 1.0
+    self.reset()
+    self._replayed = self._plan.plan
+
+  def step(self) -> LiveState:
+    """Advances by one control step, and resets a robot that has lain enough."""
+    self._take_plan()
+    self._follow_plan()
+    if not self.robot.over:
+      self._last = self.robot.step()
+    if self.robot.over:  # There are no limits: the physics has given up.
+      self._last = self._last._replace(cause=_INVALID)
+    if self._lying or self._last.cause in (_FALLEN, _INVALID):
+      self._lie()
+    return LiveState(
+      self._last,
+      self._lying > 0,
+      self.notice,
+      self._search.status if self._search else None,
+      self._plan,
+      self._replayed is not None,
+    )
+
+  def close(self) -> None:
+    """Gives up a search that is going on."""
+    if self._search:
+      self._search.cancel()
+    self._search = None
+
+  def _lie(self) -> None:
+    """Leaves a robot that is down where it is for a moment, then resets it."""
+    if not self._lying:
+      fell = self._last.cause == _FALLEN
+      self.notice = 'It has fallen.' if fell else 'Its state is not finite.'
+      self._replayed = None
+    self._lying += 1
+    if self._lying * self.robot.task.control_timestep > _LIE:
+      self.robot.reset()
+      self._start(f'{self.notice} It was put back to the start.')
+
+  def _problem(self) -> reaching.ReachingConfig:
+    """Returns what a plan is to reach on this track."""
+    terrain = self.robot.task.root_entity.terrain
+    if len(terrain.starts[0][np.isfinite(terrain.starts[0])]) == 1:
+      return reaching.ReachingConfig(seed=self.seed)  # Nothing to cross.
+    return reaching.problem(self.arena, terrain, self.seed)
+
+  def _take_plan(self) -> None:
+    """Takes what a search that is over has found."""
+    if not (self._search and self._search.done):
+      return
+    finished, self._search = self._search, None
+    try:
+      self._plan = finished.result()
+    except ValueError as error:
+      self.notice = f'No plan: {error}'
+      return
+    fate = 'reaches the goal' if self._plan.success else 'falls short'
+    self.notice = (
+      f'A plan that {fate}, found in {self._plan.solve_seconds:.1f} s.'
+    )
+
+  def _follow_plan(self) -> None:
+    """Commands what the plan that is carried out commands now."""
+    if self._replayed is None:
+      return
+    task = self.robot.task
+    knot_steps = round(self._replayed.knot_duration / task.control_timestep)
+    knot, rest = divmod(int(task.core.tracker.state.step[0]), knot_steps)
+    if knot == len(self._replayed.modes):
+      self._replayed, self.notice = None, 'The plan is done.'
+      self.robot.command(0)
+    elif not rest:
+      self.robot.command(self._bank.index(self._replayed.modes[knot]))

@@ -1,0 +1,184 @@
+"""What the page shows of the world: the robot, its reference and the ground.
+
+mjviser turns the robot's geoms into meshes. The ground is drawn here, as in the
+videos, because its boxes change their sizes. The world moves past the origin,
+at which the page's camera looks, so that people may turn it while it follows.
+"""
+
+import copy
+
+import mjviser
+import mujoco
+import numpy as np
+from scipy.spatial import transform
+import viser
+
+from dmc_multimode.arenas import terrain as terrain_lib
+from dmc_multimode.viewer import camera as scene
+from dmc_multimode.viewer import robot as robot_lib
+
+_VIEW = scene.VIEWS['side']
+_DISTANCE, _NEAR = 3.0, 0.1  # Metres from the camera to the robot, and least.
+_ENVIRONMENT = 0.2  # Of the light from all around.
+_FIELD_OF_VIEW = np.radians(45.0)
+_FLAT = 1e-4  # Half-height of what is drawn as a plane, metres.
+_SHADOW_RADIUS, _SHADOW_LIFT = 0.16, 0.006  # Metres.
+_CORNERS = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing='ij'))
+_VERTICES = _CORNERS.reshape(3, 8).T  # Of a box of half-sizes 1; x is slowest.
+_SIDES = np.array(  # Counter-clockwise from outside.
+  [
+    [0, 1, 3, 2],
+    [4, 6, 7, 5],
+    [0, 4, 5, 1],
+    [2, 3, 7, 6],
+    [0, 2, 6, 4],
+    [1, 5, 7, 3],
+  ]
+)
+_FACES = np.concatenate([_SIDES[:, [0, 1, 2]], _SIDES[:, [0, 2, 3]]])
+_SKY = np.array([[190, 214, 235], [242, 245, 250]])  # Above and below.
+_PATH, _PATH_WIDTH = (235, 120, 40), 3.0  # Of a plan: colour, pixels.
+
+
+class LiveScene:
+  """Draws a robot and its world on a page."""
+
+  def __init__(self, server: viser.ViserServer, robot: robot_lib.Robot):
+    """Builds the meshes.
+
+    Args:
+      server: of the page.
+      robot: any of those to be shown: all have the same geoms.
+    """
+    self._server, self._aim = server, scene.Aim()
+    # What follows the robot are these two, the former being mjviser's.
+    self._frames = [
+      server.scene.add_frame(name, show_axes=False)
+      for name in ('/bodies', '/world')
+    ]
+    self._robot = mjviser.ViserMujocoScene(server, _drawn_model(robot), 1)
+    self._robot.camera_tracking_enabled = False
+    trunk = robot.physics.bind(
+      robot.task.walker.mjcf_model.find('geom', 'trunk')
+    )
+    *colour, opacity = scene.GHOST
+    self._reference = server.scene.add_box(
+      '/world/reference',
+      tuple(colour),
+      tuple(2 * trunk.size),
+      opacity=opacity,
+      cast_shadow=False,
+      receive_shadow=False,
+    )
+    self._shadow = server.scene.add_cylinder(
+      '/world/shadow',
+      radius=_SHADOW_RADIUS,
+      height=2 * _FLAT,
+      color=(30, 40, 50),
+      opacity=0.35,
+      cast_shadow=False,
+      receive_shadow=False,
+    )
+    self._drawn_ground: tuple[bytes, int] | None = None
+    self._path: viser.SceneNodeHandle | None = None
+    self._set_up_view()
+
+  def _set_up_view(self) -> None:
+    """Places the camera and the light; cheap enough without a GPU."""
+    azimuth, elevation = np.radians([_VIEW.azimuth, _VIEW.elevation])
+    forward = np.array(
+      [
+        np.cos(elevation) * np.cos(azimuth),
+        np.cos(elevation) * np.sin(azimuth),
+        np.sin(elevation),
+      ]
+    )
+    camera = self._server.initial_camera
+    camera.position, camera.look_at = -_DISTANCE * forward, np.zeros(3)
+    camera.fov, camera.near = _FIELD_OF_VIEW, _NEAR
+    # Without a GPU there is no time for more; a disc tells flight from stance.
+    self._server.scene.configure_default_lights(cast_shadow=False)
+    self._server.scene.configure_environment_map(
+      'studio', environment_intensity=_ENVIRONMENT
+    )
+    shares = np.linspace(0.0, 1.0, 64)[:, None, None]
+    sky = _SKY[0] + shares * (_SKY[1] - _SKY[0])
+    self._server.scene.set_background_image(sky.astype(np.uint8), 'png')
+
+  def show(self, robot: robot_lib.Robot) -> None:
+    """Draws the robot where it is; nothing if that is not finite."""
+    position, data = robot.position, robot.physics.data
+    if not np.isfinite(position).all():
+      return
+    offset = -self._aim.follow(robot.task, position, _VIEW.ahead)
+    with self._server.atomic():
+      self._show_ground(robot.task.root_entity.terrain, float(position[0]))
+      for frame in self._frames:
+        frame.position = offset
+      place, rotation = scene.reference_pose(robot.task, float(position[0]))
+      self._reference.position = place
+      self._reference.wxyz = transform.Rotation.from_matrix(rotation).as_quat(
+        scalar_first=True
+      )
+      height = robot.task.core.support(position[:1])[0] + _SHADOW_LIFT
+      self._shadow.position = np.array([*position[:2], height])
+      self._robot.update_from_arrays(
+        data.xpos[None].copy(), data.xmat.reshape(1, -1, 3, 3).copy()
+      )
+
+  def show_path(self, path: np.ndarray | None) -> None:
+    """Draws the path of a plan's trunk, metres, [T, 3]; none if None."""
+    if self._path is not None:
+      self._path.remove()
+      self._path = None
+    if path is not None:
+      self._path = self._server.scene.add_line_segments(
+        '/world/path',
+        np.stack([path[:-1], path[1:]], axis=1),
+        _PATH,
+        thickness=_PATH_WIDTH,
+        thickness_units='screen',
+      )
+
+  def _show_ground(self, terrain: terrain_lib.Terrain, x: float) -> None:
+    """Draws the ground around x anew where it has changed."""
+    ground = b''.join(field.tobytes() for field in terrain), round(x)
+    if ground == self._drawn_ground:
+      return
+    self._drawn_ground = ground
+    boxes = [*_segments(terrain), *scene.ground_marks(terrain, round(x))]
+    flat = [box.shape == mujoco.mjtGeom.mjGEOM_PLANE for box in boxes]
+    halves = np.array([box.halves for box in boxes])
+    halves[flat, 2] = _FLAT
+    self._server.scene.add_batched_meshes_simple(
+      '/world/ground',
+      _VERTICES,
+      _FACES,
+      batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(boxes), 1)),
+      batched_positions=np.array([box.centre for box in boxes]),
+      batched_scales=halves,
+      batched_colors=np.array(
+        [np.round(255 * np.array(box.colour[:3])) for box in boxes], np.uint8
+      ),
+      flat_shading=True,
+      lod='off',
+      cast_shadow=False,
+    )
+
+
+def _drawn_model(robot: robot_lib.Robot) -> mujoco.MjModel:
+  """Returns a copy of the robot's model whose ground is not to be drawn."""
+  model = copy.deepcopy(robot.physics.model.ptr)
+  ground = robot.physics.bind(robot.task.root_entity.ground_geoms).element_id
+  model.geom_rgba[ground, 3] = 0.0
+  return model
+
+
+def _segments(terrain: terrain_lib.Terrain) -> list[scene.Box]:
+  """Returns the boxes of a terrain, a batch of one."""
+  centres, halves = terrain_lib.boxes(terrain)
+  used = np.isfinite(terrain.starts[0])
+  return [
+    scene.Box(centre, half, scene.TOP)
+    for centre, half in zip(centres[0][used], halves[0][used], strict=True)
+  ]

@@ -1,0 +1,41 @@
+"""Tests of benchmarks.paper.experiments."""
+
+import pathlib
+
+import pytest
+
+from benchmarks.paper import experiments
+from dmc_multimode import pretrained
+
+
+def test_every_shipped_policy_is_evaluated() -> None:
+  parts = {part.name: part for part in experiments.parts(2)}
+  assert set(pretrained.names()) <= set(parts)
+  assert parts['pi2'].needs == ('pi2',)
+  assert '--episodes=2' in parts['pi2'].command
+  assert parts['curves_pi2'].needs == ('pi2', 'pi2_uniform')
+
+
+def test_runs_leave_a_log(tmp_path: pathlib.Path) -> None:
+  command = '-c', 'print("in {out}")'
+  assert experiments.run(experiments.Part('good', command, ()), tmp_path) > 0
+  assert (tmp_path / 'good.log').read_text() == f'in {tmp_path}\n'
+  with pytest.raises(ChildProcessError, match='bad failed: see .*bad.log'):
+    experiments.run(
+      experiments.Part('bad', ('-c', 'raise KeyError'), ()), tmp_path
+    )
+  assert 'KeyError' in (tmp_path / 'bad.log').read_text()
+
+
+def test_table_two_has_both_sides() -> None:
+  report = {
+    'mra_modes': {'mean': 0.9184, 'std': 0.02},
+    'mra_transitions': {'mean': 0.902, 'std': 0.039},
+  }
+  lines = experiments.table_two({'pi2': report})
+  mine = next(line for line in lines if line.startswith('pi2 '))
+  assert mine.split() == (
+    'pi2 0.91 +- 0.05 0.918 +- 0.020 0.79 +- 0.24 0.902 +- 0.039'.split()
+  )
+  absent = len(experiments.PAPER) - 1
+  assert sum('(not shipped)' in line for line in lines) == absent

@@ -1,0 +1,84 @@
+"""Tests of benchmarks.paper.planning."""
+
+import json
+import pathlib
+
+import pytest
+
+from tests.bin import processes
+
+
+def test_report(benchmark: processes.Binary, tmp_path: pathlib.Path) -> None:
+  out = tmp_path / 'planning.json'
+  done = benchmark(
+    '--policy=quickstart',
+    '--planners=beam',
+    '--beams=1',
+    '--seeds=2',
+    '--random=1',
+    f'--out={out}',
+  )
+  assert done.code == 0, done.stderr
+  report = json.loads(out.read_text())
+  plans, table = report['plans'], report['table']
+  assert [row['track'] for row in table] == [
+    'gap',
+    'plateau',
+    'gap_block',
+    'parkour',
+  ]
+  assert [row['of'] for row in table] == [2, 2, 2, 1]
+  lines = done.stdout.splitlines()[-4:]
+  for row, line in zip(table, lines, strict=True):
+    mine = [plan for plan in plans if plan['track'] == row['track']]
+    assert row['solved'] == sum(plan['success'] for plan in mine)
+    assert line.startswith(row['track'])
+    assert f'{row["solved"]} of {row["of"]}' in line
+    for plan in mine:
+      knots = 11 if row['track'] in ('gap', 'plateau') else len(plan['plan'])
+      assert len(plan['plan']) == knots
+      assert plan['control_steps'] > 0
+  # Without launch nobody gets onto a block of 0.4 m.
+  assert table[2]['solved'] == 0
+  assert 'gap_block 0: not solved' in done.stderr
+  starts = [plan['final_position'] for plan in plans[:2]]
+  assert starts[0] != starts[1]  # The seeds are two starts.
+
+
+def test_two_ranks_find_what_one_does(
+  benchmark: processes.Binary, tmp_path: pathlib.Path
+) -> None:
+  flags = (
+    '--policy=quickstart',
+    '--planners=beam',
+    '--beams=1',
+    '--seeds=1',
+    '--random=0',
+  )
+  one, two = tmp_path / 'one.json', tmp_path / 'two.json'
+  alone = benchmark(*flags, f'--out={one}')
+  module = 'benchmarks.paper.planning'
+  shared = processes.run_ranks(module, *flags, f'--out={two}')
+  assert (alone.code, shared.code) == (0, 0), shared.stderr
+  expected, found = (json.loads(path.read_text()) for path in (one, two))
+  assert len(expected['plans']) == 3
+  for theirs, ours in zip(expected['plans'], found['plans'], strict=True):
+    assert ours.pop('solve_seconds') > 0 < theirs.pop('solve_seconds')
+    assert ours == theirs
+  assert shared.stdout.count('gap_block') == 1
+
+
+@pytest.mark.parametrize(
+  ('flag', 'message'),
+  [
+    ('--planners=beam,guess', "'guess' is not one of beam, q_learning"),
+    ('--out={tmp}/none/file.json', 'there is no folder'),
+    ('--policy={tmp}/none', 'no pretrained named'),
+  ],
+)
+def test_bad_input(
+  benchmark: processes.Binary, tmp_path: pathlib.Path, flag: str, message: str
+) -> None:
+  done = benchmark(flag.format(tmp=tmp_path))
+  assert done.code == 2, done.stderr
+  assert message in done.error

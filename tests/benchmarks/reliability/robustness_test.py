@@ -1,0 +1,151 @@
+"""Tests of benchmarks.reliability.robustness and of its cases."""
+
+import dataclasses
+import json
+import pathlib
+
+import mujoco
+import numpy as np
+import pytest
+
+from benchmarks.reliability import robustness_cases
+from dmc_multimode import pretrained
+from dmc_multimode.modes import schedule
+from dmc_multimode.suite.imitation import config as task_config
+from tests.bin import processes
+from tests.bin import untrained
+
+_CONFIG = task_config.ImitationConfig(
+  time_limit=0.3, reference_starts=0.0, edge_noise=0.0
+)
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
+  """The folder of an untrained policy, for episodes of 0.3 seconds."""
+  result = tmp_path_factory.mktemp('policy')
+  untrained.save(result, ('idle', 'launch'), _CONFIG, {})
+  return result
+
+
+def _worlds(
+  folder: pathlib.Path, case: robustness_cases.Case, mode: int = 0
+) -> robustness_cases.Worlds:
+  plan = schedule.single(np.full(3, mode))
+  return robustness_cases.Worlds(
+    case, pretrained.load(folder), plan, _CONFIG, 0
+  )
+
+
+def test_masses_and_friction(folder: pathlib.Path) -> None:
+  plain = _worlds(folder, robustness_cases.Case()).model
+  other = _worlds(folder, robustness_cases.Case(mass=1.1, friction=0.9)).model
+  total = mujoco.mj_getTotalmass(plain)
+  assert mujoco.mj_getTotalmass(other) == pytest.approx(1.1 * total)
+  np.testing.assert_allclose(other.body_inertia, 1.1 * plain.body_inertia)
+  # What the solver derives from the masses follows.
+  np.testing.assert_allclose(
+    other.body_subtreemass, 1.1 * plain.body_subtreemass
+  )
+  robot = plain.body_invweight0[:, 0] > 0
+  assert robot.any()
+  assert (
+    other.body_invweight0[robot, 0] < plain.body_invweight0[robot, 0]
+  ).all()
+  sliding = other.geom_friction[:, 0] / plain.geom_friction[:, 0]
+  np.testing.assert_allclose(sliding, 0.9)
+  np.testing.assert_array_equal(
+    other.geom_friction[:, 1:], plain.geom_friction[:, 1:]
+  )
+
+
+@pytest.mark.parametrize('offset', [-0.06, 0.06])
+def test_edges(folder: pathlib.Path, offset: float) -> None:
+  plain = _worlds(folder, robustness_cases.Case(), mode=1)
+  other = _worlds(folder, robustness_cases.Case(edge=offset), mode=1)
+  for worlds in (plain, other):
+    worlds.reset()
+  edges = plain.core.terrain.starts[:, 1]
+  np.testing.assert_allclose(edges, 0.27)
+  np.testing.assert_allclose(other.core.terrain.starts[:, 1], edges + offset)
+  # The references are as they were.
+  np.testing.assert_array_equal(
+    plain.core.tracker.reference().position,
+    other.core.tracker.reference().position,
+  )
+
+
+def test_pushes_come_once_a_second(folder: pathlib.Path) -> None:
+  plain = _worlds(folder, robustness_cases.Case())
+  other = _worlds(folder, robustness_cases.Case(push=0.3))
+  action = np.tile(plain.standing_action(), (3, 1))
+  plain.reset()
+  other.reset()
+  for step in range(1, 34):
+    plain.step(action)
+    if step < 33:
+      other.step(action)
+      np.testing.assert_array_equal(other.qvel, plain.qvel)
+  before = other.qpos.copy()
+  other.step(action)
+  # Within a control step of 0.03 s, feet on the ground.
+  moved = other.qpos[:, :2] - before[:, :2]
+  assert (np.linalg.norm(moved, axis=1) > 0.003).all()
+  assert np.ptp(np.arctan2(moved[:, 1], moved[:, 0])) > 0.1
+  assert not np.array_equal(other.qvel, plain.qvel)
+
+
+def test_obstacles(folder: pathlib.Path) -> None:
+  plan, case = (
+    schedule.single(np.full(3, 1)),
+    robustness_cases.Case(obstacles=1.0),
+  )
+  trained = dataclasses.replace(_CONFIG, obstacles=0.4, obstacles_start=10**6)
+  worlds = robustness_cases.Worlds(
+    case, pretrained.load(folder), plan, trained, 0
+  )
+  worlds.reset()
+  # A block of another height, or there would be nothing to withstand.
+  tops = worlds.core.terrain.tops[:, 1]
+  assert (tops < 0.4).all()
+  assert np.ptp(tops) > 0
+
+
+def test_report(
+  benchmark: processes.Binary, folder: pathlib.Path, tmp_path: pathlib.Path
+) -> None:
+  out = tmp_path / 'robustness.json'
+  names = ['as trained', '1 ms', 'edge 6 cm nearer', 'mass +10 %', 'pushes']
+  done = benchmark(
+    f'--policy={folder}',
+    '--episodes=1',
+    f'--cases={",".join(names)}',
+    f'--out={out}',
+  )
+  assert done.code == 0, done.stderr
+  table = json.loads(out.read_text())['table']
+  assert [row['name'] for row in table] == names
+  lines = done.stdout.splitlines()[-len(names) :]
+  for row, line in zip(table, lines, strict=True):
+    assert line.startswith(row['name'])
+    assert 0 < row['mra_transitions'] < 1
+    assert row['worst_modes'] in ('idle', 'launch')
+  plain, fine, _, heavy, pushed = (row['mra_modes'] for row in table)
+  assert len({plain, fine, heavy}) == 3
+  assert pushed == plain  # The episodes end before the first push.
+
+
+@pytest.mark.parametrize(
+  ('flag', 'message'),
+  [
+    ('--cases=as trained,wind', "'wind' is not one of as trained, 5 ms"),
+    ('--out={tmp}/none/file.json', 'there is no folder'),
+    ('--policy={tmp}/none', 'no pretrained named'),
+  ],
+)
+def test_bad_input(
+  benchmark: processes.Binary, tmp_path: pathlib.Path, flag: str, message: str
+) -> None:
+  done = benchmark(flag.format(tmp=tmp_path))
+  assert done.code == 2, done.stderr
+  assert message in done.error

@@ -1,0 +1,150 @@
+"""Tests of dmc_multimode.suite.behaviour."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from dmc_multimode.evaluation import acceptance
+from dmc_multimode.evaluation import gait_metrics
+from dmc_multimode.modes import library
+from dmc_multimode.modes import reference
+
+_TIMESTEP = 0.03  # Seconds.
+_MODES = library.modes()
+
+
+def _perfect(motion: reference.ReferenceMotion) -> gait_metrics.Trace:
+  """What a body would do that is on the reference all the time."""
+  steps = round(acceptance.DURATION / _TIMESTEP)
+  turns, phases = np.divmod(_TIMESTEP * np.arange(steps) / motion.duration, 1.0)
+  if motion.kind == reference.TRANSIENT:
+    turns, phases = 0 * turns, np.where(turns > 0, 1.0, phases)
+  sample = motion.sample(phases)
+  moved = motion.positions[-1] - motion.positions[0]
+  position = sample.position + turns[:, None] * moved
+  turn = reference.ReferenceBank([motion]).turns[0]
+  support = np.zeros(steps)
+  if motion.step is not None:
+    support[position[:, 0] > motion.step.edge] = motion.step.height
+  return gait_metrics.Trace(
+    position,
+    position,
+    support,
+    reference.yaw(sample.orientation) + turns * turn,
+    sample.contact,
+    sample.contact,
+    _TIMESTEP,
+    motion.duration,
+  )
+
+
+def _verdicts(
+  motion: reference.ReferenceMotion, *traces: gait_metrics.Trace
+) -> dict[str, acceptance.Verdict]:
+  return {v.metric: v for v in acceptance.judge(motion, traces)}
+
+
+@pytest.mark.parametrize(
+  ('name', 'expected'),
+  [
+    ('idle', {'drift': (-np.inf, 0.05)}),
+    (
+      'walk_forward',
+      {
+        'speed': (0.5, 0.7),
+        'bob': (-np.inf, 0.05),
+        'alternation': (0.8, np.inf),
+      },
+    ),
+    ('leap_forward', {'rise': (0.15, np.inf), 'flight': (0.1512, np.inf)}),
+    ('hop_forward', {'flight': (0.09, np.inf)}),
+    ('launch', {'stance': (1.0, np.inf)}),
+  ],
+)
+def test_promises(name: str, expected: dict[str, tuple[float, float]]) -> None:
+  found = {
+    promise.metric: (promise.least, promise.most)
+    for promise in acceptance.promises(_MODES[name])
+  }
+  assert found.keys() == expected.keys()
+  for metric, bounds in expected.items():
+    assert found[metric] == pytest.approx(bounds)
+
+
+@pytest.mark.parametrize('name', _MODES)
+def test_a_perfect_body_keeps_every_promise(name: str) -> None:
+  motion = _MODES[name]
+  verdicts = _verdicts(motion, _perfect(motion))
+  assert verdicts and all(v.kept for v in verdicts.values()), verdicts
+  json.dumps([v.kept for v in verdicts.values()])  # As a report has it.
+
+
+@pytest.mark.parametrize('name', _MODES)
+def test_a_body_that_stands_keeps_none_that_moves(name: str) -> None:
+  motion = _MODES[name]
+  perfect = _perfect(motion)
+  still = np.zeros_like(perfect.position)
+  still[:, 2] = 0.5
+  trace = perfect._replace(
+    position=still,
+    support=np.zeros(len(still)),
+    yaw=np.zeros(len(still)),
+    contact=np.ones_like(perfect.contact),
+  )
+  broken = {m for m, v in _verdicts(motion, trace).items() if not v.kept}
+  held = {'drift', 'bob'}
+  assert broken == {p.metric for p in acceptance.promises(motion)} - held
+
+
+def test_mean_decides_and_the_worst_is_named() -> None:
+  motion = _MODES['idle']
+  perfect = _perfect(motion)
+  traces = []
+  for way in (0.01, 0.08, 0.03):
+    position = perfect.position.copy()
+    position[50:, 1] += way
+    traces.append(perfect._replace(position=position))
+  verdict = _verdicts(motion, *traces)['drift']
+  assert verdict.value == pytest.approx(0.04)
+  assert verdict.worst == pytest.approx(0.08)
+  assert verdict.kept
+
+
+@pytest.mark.parametrize('speed', [0.45, 0.75])
+def test_a_walk_keeps_its_speed(speed: float) -> None:
+  motion = _MODES['walk_forward']
+  perfect = _perfect(motion)
+  verdict = _verdicts(
+    motion,
+    perfect._replace(position=perfect.position * [speed / 0.6, 1.0, 1.0]),
+  )['speed']
+  assert verdict.value == pytest.approx(speed, abs=0.01)
+  assert not verdict.kept
+
+
+def test_a_squat_rises() -> None:
+  """On the spot, both feet on the ground."""
+  motion = dataclasses.replace(
+    _MODES['idle'],
+    kind=reference.PERIODIC,
+    duration=1.2,
+    phases=np.array([0.0, 0.5, 1.0]),
+    positions=np.array([[0, 0, 0.5], [0, 0, 0.4], [0, 0, 0.5]]),
+    orientations=np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)),
+    contacts=np.ones((3, 2)),
+  )
+  verdict = _verdicts(motion, _perfect(motion))['rise']
+  assert verdict.least == pytest.approx(0.06)
+  assert verdict.value == pytest.approx(0.1, abs=0.01) and verdict.kept
+  standing = _perfect(_MODES['idle'])._replace(cycle=1.2)
+  found = _verdicts(motion, standing)
+  assert list(found) == ['rise'] and not found['rise'].kept
+
+
+def test_modes_of_which_little_is_known_promise_little() -> None:
+  walk = dataclasses.replace(_MODES['walk_forward'], contacts=None)
+  assert [p.metric for p in acceptance.promises(walk)] == ['speed', 'bob']
+  jump = dataclasses.replace(_MODES['launch'], step=None)
+  assert acceptance.promises(jump) == ()

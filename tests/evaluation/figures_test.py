@@ -1,0 +1,122 @@
+"""Tests of dmc_multimode.evaluation.figures."""
+
+import pathlib
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dmc_multimode.evaluation import figures
+from dmc_multimode.modes import library
+from dmc_multimode.modes import reference
+
+_TIMESTEP = 0.03  # Seconds.
+
+
+def _measured(steps: int, worlds: int) -> dict[str, np.ndarray]:
+  rng = np.random.RandomState(0)
+  return {
+    'position': rng.rand(steps, worlds, 3),
+    'reference': rng.rand(steps, worlds, 3),
+    'support': rng.rand(steps, worlds),
+  }
+
+
+def test_heights() -> None:
+  measured = _measured(20, 2)
+  drawn = figures.heights(
+    ('idle', 'walk'), measured, np.array([20, 12]), _TIMESTEP
+  )
+  for i, (name, length) in enumerate((('idle', 20), ('walk', 12))):
+    axis = drawn.axes[i]
+    assert axis.get_title() == name
+    lines: dict[str, Any] = {
+      str(line.get_label()): line.get_data() for line in axis.lines
+    }
+    for label, key in (('robot', 'position'), ('reference', 'reference')):
+      times, heights = lines[label]
+      np.testing.assert_allclose(times[[0, -1]], [0.03, 0.03 * length])
+      np.testing.assert_array_equal(heights, measured[key][:length, i, 2])
+
+
+def test_contacts_are_drawn_where_feet_stand() -> None:
+  contact = np.zeros((10, 1, 2))
+  contact[2:5, 0, 0] = contact[8:, 0, 0] = 1
+  measured = {'contact': contact, 'reference_contact': np.ones((10, 1, 2))}
+  drawn = figures.contacts(('walk',), measured, np.array([9]), _TIMESTEP)
+  bars: Any = drawn.axes[0].collections
+  spans = [
+    [(path.vertices[:, 0].min(), path.vertices[:, 0].max()) for path in paths]
+    for paths in (bar.get_paths() for bar in bars)
+  ]
+  whole = [pytest.approx((0.0, 0.27))]
+  # Left and right, the robot's above the reference's.
+  assert spans == [
+    [pytest.approx((0.06, 0.15)), pytest.approx((0.24, 0.27))],
+    whole,
+    [],
+    whole,
+  ]
+
+
+def test_clock_rates() -> None:
+  row = lambda speed: {'reference': 2 * speed, 'velocity': speed}
+  values = {
+    rate: {'walk': row(0.1 * i), 'leap': row(0.3 * i)}
+    for i, rate in enumerate(('1', '2', '3'))
+  }
+  drawn = figures.clock_rates(values)
+  for axis, name, speed in zip(
+    drawn.axes, ('walk', 'leap'), (0.1, 0.3), strict=True
+  ):
+    assert axis.get_title() == name
+    lines: Any = {line.get_label(): line.get_data() for line in axis.lines}
+    np.testing.assert_array_equal(lines['robot'][0], [1, 2, 3])
+    np.testing.assert_allclose(lines['robot'][1], speed * np.arange(3))
+    np.testing.assert_allclose(lines['reference'][1], 2 * speed * np.arange(3))
+
+
+@pytest.mark.parametrize(
+  ('modes', 'names', 'seconds'),
+  [
+    ('pi2', ('walk_forward', 'launch', 'leap_forward', 'idle'), 8.3),
+    ('quickstart', ('walk_forward', 'leap_forward', 'idle'), 7.2),
+    ('leap_left,walk_left', ('leap_left', 'walk_left'), 4.8),
+    ('launch', ('launch',), 1.1),
+  ],
+)
+def test_sequence(modes: str, names: tuple[str, ...], seconds: float) -> None:
+  bank = reference.ReferenceBank(library.resolve(modes))
+  schedule, found = figures.sequence(bank)
+  assert tuple(bank.names[i] for i in schedule.modes[0]) == names
+  assert found == pytest.approx(seconds)
+  assert schedule.starts[0, -1] < found
+
+
+def test_transitions() -> None:
+  bank = reference.ReferenceBank(library.resolve('pi2'))
+  schedule, _ = figures.sequence(bank)
+  measured = _measured(100, 1)
+  drawn = figures.transitions(bank, schedule, measured, 90, _TIMESTEP)
+  axis = drawn.axes[0]
+  lines = {line.get_label(): line.get_data() for line in axis.lines}
+  np.testing.assert_array_equal(
+    lines['robot'][1], measured['position'][:90, 0, 2]
+  )
+  np.testing.assert_array_equal(
+    lines['reference'][1], measured['reference'][:90, 0, 2]
+  )
+  texts: list[Any] = list(axis.texts)
+  labels = {text.get_text(): text.xy[0] for text in texts}
+  assert labels == pytest.approx(
+    {'walk_forward': 0.0, 'launch': 2.4, 'leap_forward': 3.5, 'idle': 5.9}
+  )
+
+
+def test_save_makes_the_folder(tmp_path: pathlib.Path) -> None:
+  drawn, axes = figures.empty(2, 3, 1.0, 2.0)
+  assert axes.shape == (2, 3)
+  path = tmp_path / 'below' / 'figure.png'
+  figures.save(path, drawn)
+  assert path.read_bytes().startswith(b'\x89PNG')
+  assert list(path.parent.iterdir()) == [path]

@@ -1,0 +1,213 @@
+"""Tests of the HTML report and of what goes into a page."""
+
+import base64
+import html.parser
+import io
+import itertools
+import pathlib
+from typing import Any, Mapping
+
+import av
+import matplotlib.figure
+import numpy as np
+import pytest
+
+from dmc_multimode import pretrained
+from dmc_multimode.evaluation import figures
+from dmc_multimode.evaluation import html_report
+from dmc_multimode.evaluation import report
+from dmc_multimode.suite.imitation import config as task_config
+from tests.bin import untrained
+
+_NASTY = '<script>"walk" & \'leap\''
+_MODES = ('idle', _NASTY)
+_VOID = {'meta', 'img', 'br', 'hr', 'link', 'input'}
+
+
+class _Page(html.parser.HTMLParser):
+  """What a page holds: the text of its table rows, and its elements."""
+
+  def __init__(self, text: str):
+    super().__init__()
+    self.elements: list[tuple[str, dict[str, str]]] = []
+    self.rows: list[list[str]] = []
+    self.text = ''
+    self._open: list[str] = []
+    self.feed(text)
+    self.close()
+    assert not self._open  # Whatever begins, ends.
+
+  def handle_starttag(
+    self, tag: str, attrs: list[tuple[str, str | None]]
+  ) -> None:
+    self.elements.append((tag, {key: value or '' for key, value in attrs}))
+    if tag == 'tr':
+      self.rows.append([])
+    if tag in ('td', 'th'):
+      self.rows[-1].append('')
+    if tag not in _VOID:
+      self._open.append(tag)
+
+  def handle_endtag(self, tag: str) -> None:
+    assert self._open.pop() == tag
+
+  def handle_data(self, data: str) -> None:
+    self.text += data
+    if self._open and self._open[-1] in ('td', 'th'):
+      self.rows[-1][-1] += data
+
+  def all(self, tag: str) -> list[dict[str, str]]:
+    return [attributes for name, attributes in self.elements if name == tag]
+
+
+def _values() -> dict[str, Any]:
+  """A report as `scoring.report` makes them."""
+  row = dict.fromkeys(html_report.MODE_COLUMNS, 0.25)
+  pairs = itertools.product(_MODES, _MODES)
+  promise = {'value': 0.58, 'worst': 0.4, 'least': 0.5, 'most': None}
+  return {
+    'mra_modes': {'mean': 0.912, 'std': 0.01},
+    'mra_transitions': {'mean': 0.834, 'std': 0.02},
+    'survival_modes': 1.0,
+    'survival_transitions': 0.75,
+    'modes': {name: {**row, 'mra': 0.5 + i} for i, name in enumerate(_MODES)},
+    'behaviour': {
+      'idle': {'drift': {**promise, 'kept': True}},
+      _NASTY: {'speed': {**promise, 'kept': False}},
+    },
+    'transitions': {
+      f'{a}->{b}': {'mra': 0.1 + 0.2 * i, 'survival': 0.125 * i}
+      for i, (a, b) in enumerate(pairs)
+    },
+    'seed': 1234,
+    'episodes_per_case': 4,
+    'clock_rate': 1.5,
+    'task': {'gains': {'position': 0.35}, 'time_limit': 4.5},
+    'provenance': {'steps': 987, 'commit': '<none>'},
+  }
+
+
+def _page(
+  figures_: Mapping[str, bytes] = {},
+  videos: Mapping[str, bytes] = {},
+  note: str = '',
+) -> str:
+  return html_report.make(
+    'Evaluation of <pi2>', _values(), figures_, videos, note
+  )
+
+
+def _check_self_contained(text: str) -> None:
+  page = _Page(text)
+  assert 'http:' not in text and 'https:' not in text and '@import' not in text
+  for tag, attributes in page.elements:
+    assert tag not in ('script', 'link', 'iframe')
+    for name in ('src', 'href', 'srcset', 'poster', 'data'):
+      assert attributes.get(name, 'data:').startswith('data:')
+
+
+def test_every_mode_promise_and_transition_is_there() -> None:
+  page = _Page(_page())
+  rows = {row[0]: row[1:] for row in page.rows}
+  assert ['idle', '0.500', *['0.250'] * 12] in page.rows
+  assert [_NASTY, '1.500', *['0.250'] * 12] in page.rows
+  assert rows['idle: drift'] == ['0.580', '0.400', '0.500', '', 'yes']
+  assert rows[f'{_NASTY}: speed'][-1] == 'NO'
+  for i, (a, b) in enumerate(itertools.product(_MODES, _MODES)):
+    expected = [f'{0.1 + 0.2 * i:.3f}', f'{0.125 * i:.3f}']
+    assert rows[f'{a}->{b}'] == expected
+  assert ['idle', '0.10', '0.30'] in page.rows  # Of the heat map.
+  assert [_NASTY, '0.50', '0.70'] in page.rows
+  assert 'Promises kept: 1 of 2.' in page.text
+  assert rows['transitions (4)'] == ['0.834', '0.020', '0.750']
+  for key, value in (
+    ('seed', '1234'),
+    ('clock_rate', '1.5'),
+    ('steps', '987'),
+    ('commit', '<none>'),
+    ('gains.position', '0.35'),
+  ):
+    assert rows[key] == [value]
+
+
+def test_the_heat_map_is_brighter_where_returns_are_higher() -> None:
+  cells = [c for c in _Page(_page()).all('td') if 'style' in c]
+  assert len(cells) == 4
+  hexes = [c['style'].split('#')[1][:6] for c in cells]
+  sums = [sum(bytes.fromhex(value)) for value in hexes]
+  assert sums == sorted(sums) and len(set(sums)) == 4
+  inks = [c['style'].rpartition(':')[2] for c in cells]
+  assert inks[0] == '#fff' and inks[-1] == '#000'
+  assert cells[1]['title'] == f'idle to {_NASTY}: survival 0.125'
+
+
+def test_pictures_and_videos_are_in_the_page() -> None:
+  png, mp4 = b'\x89PNG...', b'....ftyp'
+  text = _page({'Heights': png}, {'idle': mp4, _NASTY: mp4})
+  _check_self_contained(text)
+  page = _Page(text)
+  (image,) = page.all('img')
+  assert image['alt'] == 'Heights'
+  sources = [v['src'] for v in [image, *page.all('video')]]
+  kinds = [source.partition(',')[0] for source in sources]
+  assert kinds == ['data:image/png;base64', *['data:video/mp4;base64'] * 2]
+  contents = [base64.b64decode(source.partition(',')[2]) for source in sources]
+  assert contents == [png, mp4, mp4]
+  assert 'There are no videos' not in page.text
+
+
+def test_without_videos_the_page_says_why() -> None:
+  text = _page(note='no <OpenGL> here')
+  assert 'There are no videos: no <OpenGL> here' in _Page(text).text
+  assert not _Page(text).all('video')
+  _check_self_contained(text)
+
+
+def _figure() -> matplotlib.figure.Figure:
+  return figures.empty(1, 1, 2.0, 2.0)[0]
+
+
+def test_a_page_is_written_whole(tmp_path: pathlib.Path) -> None:
+  path = tmp_path / 'new' / 'report.html'
+  drawn = {figures.HEIGHTS_FILE: _figure(), figures.CONTACTS_FILE: _figure()}
+  report.write_page(path, 'Report', _values(), drawn, {}, 'none')
+  assert list(path.parent.iterdir()) == [path]
+  text = path.read_text()
+  _check_self_contained(text)
+  images = _Page(text).all('img')
+  assert len({image['alt'] for image in images}) == 2
+  for image in images:
+    content = base64.b64decode(image['src'].partition(',')[2])
+    assert content.startswith(b'\x89PNG')
+
+
+@pytest.mark.parametrize('missing', ['modes', 'provenance', 'behaviour'])
+def test_an_error_leaves_no_page(tmp_path: pathlib.Path, missing: str) -> None:
+  values = _values()
+  del values[missing]
+  path = tmp_path / 'report.html'
+  path.write_text('as before')
+  with pytest.raises(KeyError):
+    report.write_page(path, 'Report', values, {}, {}, '')
+  assert list(tmp_path.iterdir()) == [path]
+  assert path.read_text() == 'as before'
+
+
+@pytest.mark.gl
+def test_videos_of_the_modes(
+  tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  modes = ('idle', 'launch')
+  monkeypatch.setattr(report, '_SECONDS', 0.3)
+  monkeypatch.setattr(report, '_AFTER', -0.8)
+  untrained.save(tmp_path, modes, task_config.ImitationConfig(), {})
+  policy = pretrained.load(tmp_path)
+  videos = report.film(policy, policy.config, seed=0, clock_rate=1.0)
+  assert tuple(videos) == modes
+  for content in videos.values():
+    assert len(content) < 100_000
+    with av.open(io.BytesIO(content), 'r') as container:
+      stream = container.streams.video[0]
+      assert (stream.codec_context.name, stream.width) == ('h264', 320)
+      frames = [f.to_ndarray(format='rgb24') for f in container.decode(stream)]
+    assert len(frames) == 10 and np.stack(frames).std() > 10

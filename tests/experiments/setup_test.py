@@ -1,0 +1,138 @@
+"""Tests of dmc_multimode.experiments.setup: how the parts fit together."""
+
+import dataclasses
+import pathlib
+from typing import Any
+
+import numpy as np
+import pytest
+import threadpoolctl
+import torch
+
+from dmc_multimode import pretrained
+from dmc_multimode.agents.ppo import config as ppo_config
+from dmc_multimode.agents.ppo import networks
+from dmc_multimode.experiments import setup
+from dmc_multimode.modes import codebook
+from dmc_multimode.modes import library
+
+_MODES = 'idle,walk_forward'
+_POLICY_SEES = 2 + 2 + 31  # With one-hot commands.
+_VALUE_SEES = _POLICY_SEES + 6 + 2 + 3
+_TINY = ppo_config.PPOConfig(
+  hidden_sizes=(8,), rollout_length=4, epochs=2, minibatches=2
+)
+
+
+def _build(**changes: Any) -> setup.Run:
+  motions = library.resolve(_MODES)
+  threads = torch.get_num_threads()
+  try:
+    return setup.build(
+      setup.RunConfig(
+        modes=_MODES,
+        num_worlds=4,
+        threads=1,
+        one_hot=True,
+        ppo=dataclasses.replace(_TINY, **changes),
+      ),
+      motions,
+      codebook.one_hot(motions),
+    )
+  finally:
+    torch.set_num_threads(threads)
+
+
+def test_numpy_multiplies_by_as_many_threads_as_torch() -> None:
+  with threadpoolctl.threadpool_limits(2, user_api='blas'):
+    _build()
+    pools = threadpoolctl.threadpool_info()
+  blas = [p['num_threads'] for p in pools if p['user_api'] == 'blas']
+  assert set(blas) == {1}
+
+
+@pytest.mark.parametrize('privileged', [False, True])
+def test_critic_is_privileged_or_not(
+  privileged: bool, tmp_path: pathlib.Path
+) -> None:
+  run = _build(privileged_critic=privileged)
+  seen = _VALUE_SEES if privileged else _POLICY_SEES
+  assert run.environment.observation_spec().shape == (seen,)
+  assert run.network.observation_size == _POLICY_SEES
+  assert run.network.privileged_size == seen - _POLICY_SEES
+  # Whoever loads the policy shows it what the policy sees, and no more.
+  run.policy().save(tmp_path)
+  observation = run.environment.reset()
+  np.testing.assert_array_equal(
+    pretrained.load(tmp_path).select_action(observation[:, :_POLICY_SEES]),
+    run.policy().select_action(observation),
+  )
+
+
+@pytest.mark.parametrize('symmetry', ppo_config.SYMMETRIES)
+@pytest.mark.parametrize('advantages', ppo_config.ADVANTAGES)
+def test_every_kind_of_learner_learns(symmetry: str, advantages: str) -> None:
+  run = _build(symmetry=symmetry, advantages=advantages)
+  weight = networks.linears_of(run.network.policy)[0].weight
+  before = weight.detach().clone()
+  run.loop._collect()
+  metrics = run.loop._learner.step(run.loop._buffers)
+  assert all(np.isfinite(value) for value in metrics.values())
+  assert not torch.equal(weight, before)
+
+
+@pytest.mark.parametrize(
+  ('text', 'message'),
+  [
+    ('{}', "lacks 'modes'"),
+    ('[' * 100_000, 'recursion'),
+    ('{"modes": 3}', 'int'),
+    ('[1]', 'list'),
+  ],
+)
+def test_damaged_configuration(
+  text: str, message: str, tmp_path: pathlib.Path
+) -> None:
+  (tmp_path / setup.CONFIG_FILE).write_text(text)
+  with pytest.raises(ValueError, match=f'config.json is damaged: .*{message}'):
+    setup.load_run(tmp_path)
+
+
+@pytest.mark.parametrize(
+  ('part', 'name', 'value', 'message'),
+  [
+    ('ppo', 'clip', '0.2', 'clip must be a finite number'),
+    ('ppo', 'epochs', 2.5, 'epochs must be a whole number'),
+    ('sampling', 'adaptive', 0, 'adaptive must be true or false'),
+    ('task', 'time_limit', None, 'time_limit must be a finite number'),
+    ('task', 'more', 1, 'more is unknown'),
+  ],
+)
+def test_values_of_another_type(
+  part: str, name: str, value: Any, message: str
+) -> None:
+  values = setup.to_dict(setup.RunConfig())
+  values[part][name] = value
+  with pytest.raises(ValueError, match=message):
+    setup.from_dict(values)
+
+
+def test_configuration_is_of_a_sane_size(tmp_path: pathlib.Path) -> None:
+  with open(tmp_path / setup.CONFIG_FILE, 'wb') as file:
+    file.truncate(65 << 20)
+  with pytest.raises(ValueError, match='too large'):
+    setup.load_run(tmp_path)
+  with pytest.raises(ValueError, match='num_worlds must be at most'):
+    setup.RunConfig(num_worlds=10**9)
+
+
+def test_configuration_round_trip() -> None:
+  config = setup.RunConfig(
+    ppo=ppo_config.PPOConfig(
+      symmetry='alternate',
+      advantages='mode',
+      privileged_critic=False,
+      activation='elu',
+    )
+  )
+  assert setup.from_dict(setup.to_dict(config)) == config

@@ -1,0 +1,137 @@
+"""Tests of dmc_multimode.modes.extension."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from dmc_multimode.modes import codebook as codebook_lib
+from dmc_multimode.modes import library
+from dmc_multimode.modes import reference
+from dmc_multimode.modes.encoder import extension
+from dmc_multimode.modes.encoder import network
+from dmc_multimode.modes.encoder import training as encoder_training
+
+_OLD = library.resolve('idle,walk_forward')
+# Reached within some passes.
+_ROUGH = encoder_training.EncoderConfig(
+  max_rmse=0.1, hidden=8, learning_rate=0.03
+)
+
+
+def _bob(name: str = 'bob', depth: float = 0.5) -> reference.ReferenceMotion:
+  """Up and down on the spot; an encoder of `_OLD` knows no such thing."""
+  return reference.ReferenceMotion(
+    name=name,
+    kind=reference.PERIODIC,
+    duration=0.6,
+    phases=np.array([0.0, 0.5, 1.0]),
+    positions=np.array([[0, 0, 0.5], [0, 0, 0.5 - depth], [0, 0, 0.5]]),
+    orientations=np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)),
+  )
+
+
+@pytest.fixture(scope='module')
+def base() -> encoder_training.ModeEncoder:
+  return encoder_training.train(_OLD, _ROUGH)
+
+
+@pytest.fixture(scope='module')
+def extended(
+  base: encoder_training.ModeEncoder,
+) -> tuple[encoder_training.ModeEncoder, codebook_lib.Codebook]:
+  return extension.extend(base, _OLD, base.codebook(), [_bob()])
+
+
+def test_old_latents_stay_to_the_bit(
+  base: encoder_training.ModeEncoder,
+  extended: tuple[encoder_training.ModeEncoder, codebook_lib.Codebook],
+) -> None:
+  trained, codebook = extended
+  assert codebook.names == ('idle', 'walk_forward', 'bob')
+  np.testing.assert_array_equal(codebook.latents[:2], base.codebook().latents)
+  # The encoder itself may be off a little, by what its docstring says.
+  np.testing.assert_allclose(
+    trained.encode(_OLD), codebook.latents[:2], atol=0.01
+  )
+  np.testing.assert_array_equal(trained.encode([_bob()]), codebook.latents[2:])
+  assert [motion.name for motion in trained.motions] == list(codebook.names)
+
+
+def test_new_mode_is_told_apart_and_reconstructed(
+  base: encoder_training.ModeEncoder,
+  extended: tuple[encoder_training.ModeEncoder, codebook_lib.Codebook],
+) -> None:
+  trained, codebook = extended
+  assert codebook.separation() > _ROUGH.min_separation
+  assert trained.rmse()['bob'] < _ROUGH.max_rmse
+  # By itself the old encoder would not do.
+  (found,) = base.reconstruct([_bob()])
+  error = found - network.features(_bob(), use_contacts=False)
+  squares = np.square(error[:, network.POSITION]).sum(axis=-1)
+  assert np.sqrt(squares.mean()) > _ROUGH.max_rmse
+
+
+def test_base_stays_as_it_is(base: encoder_training.ModeEncoder) -> None:
+  before = {k: v.clone() for k, v in base.network.state_dict().items()}
+  state = torch.get_rng_state()
+  extension.extend(base, _OLD, base.codebook(), [_bob()])
+  for key, value in base.network.state_dict().items():
+    assert torch.equal(value, before[key]), key
+  assert torch.equal(torch.get_rng_state(), state)
+  assert not any(p.requires_grad for p in base.network.parameters())
+
+
+def test_extended_again(
+  extended: tuple[encoder_training.ModeEncoder, codebook_lib.Codebook],
+) -> None:
+  """Of an encoder that is off a little, and in another order."""
+  trained, codebook = extended
+  old = (_bob(), *_OLD)
+  _, found = extension.extend(
+    trained, old, codebook, library.resolve('leap_forward')
+  )
+  assert found.names == ('bob', 'idle', 'walk_forward', 'leap_forward')
+  np.testing.assert_array_equal(found.latents[:3], codebook.latents[[2, 0, 1]])
+  assert found.distances()[3, :3].min() > 0.3 * found.distances().mean()
+
+
+def test_nothing_new_is_nothing_to_train(
+  base: encoder_training.ModeEncoder,
+) -> None:
+  trained, codebook = extension.extend(base, _OLD[:1], base.codebook(), [])
+  assert trained.network is base.network
+  assert codebook.names == ('idle',)
+  np.testing.assert_array_equal(codebook.latents, base.codebook().latents[:1])
+
+
+def test_encoder_of_other_latents(base: encoder_training.ModeEncoder) -> None:
+  book = base.codebook()
+  other = codebook_lib.Codebook(book.names, book.latents + 0.05)
+  with pytest.raises(ValueError, match='not the one that the latents'):
+    extension.extend(base, _OLD, other, [_bob()])
+  longer = codebook_lib.Codebook(book.names, np.eye(2, 5))
+  with pytest.raises(ValueError, match='not the one that the latents'):
+    extension.extend(base, _OLD, longer, [_bob()])
+
+
+def test_motion_that_is_known_by_another_name(
+  base: encoder_training.ModeEncoder,
+) -> None:
+  twin = dataclasses.replace(_OLD[0], name='stay', mirror='stay')
+  with pytest.raises(ValueError, match="'idle' and 'stay' .* from scratch"):
+    extension.extend(base, _OLD, base.codebook(), [twin])
+
+
+def test_what_is_not_learned_in_time(
+  base: encoder_training.ModeEncoder,
+) -> None:
+  hasty = dataclasses.replace(
+    base, config=dataclasses.replace(base.config, max_epochs=1)
+  )
+  with pytest.raises(
+    encoder_training.ConvergenceError,
+    match='new modes in 1 epochs.*from scratch',
+  ):
+    extension.extend(hasty, _OLD, base.codebook(), [_bob()])

@@ -1,0 +1,204 @@
+"""Tests of dmc_multimode.planner.planning, with a policy that can walk."""
+
+import dataclasses
+from typing import Any
+
+from dm_control import composer
+import numpy as np
+import pytest
+
+from dmc_multimode import pretrained
+from dmc_multimode.agents.ppo import acting
+from dmc_multimode.arenas import track
+from dmc_multimode.modes import reference
+from dmc_multimode.planner import beam_search as search
+from dmc_multimode.planner import plan as plan_lib
+from dmc_multimode.planner import problem as problem_lib
+from dmc_multimode.planner import pushes as pushes_lib
+from dmc_multimode.planner import q_learning
+from dmc_multimode.planner import solver as planning
+from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.suite.imitation import episodes
+from dmc_multimode.suite.reaching import problem as reaching
+
+_CONFIG = reaching.ReachingConfig((0.8, 0.0, 0.5), 5, 0.3)
+_PLANNERS = (
+  search.BeamConfig(beams=3),
+  q_learning.QLearningConfig(trials=4, episodes=6),
+)
+
+
+@pytest.fixture(scope='module')
+def policy() -> pretrained.Policy:
+  return pretrained.load('quickstart')
+
+
+@pytest.mark.parametrize('planner', _PLANNERS)
+def test_solve_and_replay(
+  policy: pretrained.Policy, planner: planning.PlannerConfig
+) -> None:
+  reports: list[planning.Status] = []
+  solver = planning.Solver(
+    policy, lambda: track.make('flat'), _CONFIG, planner, num_threads=1
+  )
+  found = solver.solve(reports.append)
+  assert found.success
+  assert found.final_position[0] == pytest.approx(0.8, abs=0.3)
+  assert found.path.shape == (50, 3)
+  distances = np.linalg.norm(found.path - [0.8, 0.0, 0.5], axis=1)
+  assert found.episode_return == pytest.approx(np.exp(-distances).sum())
+  assert found.control_steps >= 50 * planning.num_worlds(planner, 3)
+  assert found.solve_seconds > 0
+  total = 5 if isinstance(planner, search.BeamConfig) else 6
+  assert [row.done for row in reports] == list(range(1, total + 1))
+  assert {row.total for row in reports} == {total}
+  assert {row.search.split(' ', 1)[1] for row in reports} <= {
+    'beams from 0.00 s',
+    'trials from 0.00 s',
+  }
+  replayed = planning.replay(policy, track.make('flat'), _CONFIG, found.plan)
+  np.testing.assert_array_equal(replayed.paths[0], found.path)
+  np.testing.assert_array_equal(_in_composer(policy, found), found.path)
+  again = solver.solve()
+  assert again.plan == found.plan
+  assert again.control_steps == found.control_steps
+
+
+def _in_composer(
+  policy: pretrained.Policy, found: planning.Found
+) -> np.ndarray:
+  """Returns the path of the plan in a Composer environment."""
+  config = dataclasses.replace(
+    task_config.for_evaluation(policy.config),
+    time_limit=found.plan.duration,
+  )
+  motions = policy.motions
+  bank = reference.ReferenceBank(motions)
+  task = multimode_biped.make_task(
+    motions,
+    policy.codebook,
+    episodes.ScheduledEpisodes(found.plan.schedule(bank)),
+    config=config,
+  )
+  environment: composer.Environment = multimode_biped.make_environment(
+    task, random=_CONFIG.seed
+  )
+  actor = acting.FeedForwardActor(policy.network)
+  timestep, path = environment.reset(), []
+  while not timestep.last():
+    action = actor.select_action(timestep.observation)
+    timestep = environment.step(action)
+    path.append(environment.physics.data.qpos[:3].copy())
+  return np.array(path)
+
+
+@pytest.mark.parametrize('name', reaching.PROBLEMS)
+def test_pi2_crosses_the_papers_tracks(name: str) -> None:
+  """Table III, with the first and smallest of the beam's attempts."""
+  solver = planning.Solver(
+    pretrained.load('pi2'),
+    lambda: track.make(name),
+    reaching.PROBLEMS[name].config(0),
+    search.BeamConfig(attempts=1),
+  )
+  found = solver.solve()
+  assert found.success
+  assert found.final_position[0] > 1.7
+  # A second on two idle cores, where the paper's takes three minutes.
+  assert found.control_steps <= 20_000
+  assert found.solve_seconds > 0
+
+
+def test_replay_rejects_another_plan(policy: pretrained.Policy) -> None:
+  plan = plan_lib.ModePlan(('idle',) * 4, 0.3)
+  with pytest.raises(ValueError, match='other knots'):
+    planning.replay(policy, track.make('flat'), _CONFIG, plan)
+  plan = plan_lib.ModePlan(('idle',) * 4 + ('launch',), 0.3)
+  with pytest.raises(ValueError, match="'launch', which the policy does not"):
+    planning.replay(policy, track.make('flat'), _CONFIG, plan)
+
+
+def test_replay_with_pushes(policy: pretrained.Policy) -> None:
+  plan = plan_lib.ModePlan(('walk_forward',) * 5, 0.3)
+  arena = track.make('flat')
+  plain = planning.replay(policy, arena, _CONFIG, plan)
+  pushes = [pushes_lib.Push(0.6, (-0.5, 0.0, 0.0))]
+  pushed = planning.replay(policy, track.make('flat'), _CONFIG, plan, pushes)
+  assert pushed.alive[0]
+  assert pushed.position[0, 0] < plain.position[0, 0] - 0.05
+  with pytest.raises(ValueError, match='not at a knot'):
+    pushes = [pushes_lib.Push(0.7, (-0.5, 0.0, 0.0))]
+    planning.replay(policy, track.make('flat'), _CONFIG, plan, pushes)
+
+
+def test_what_cannot_be_reached(policy: pretrained.Policy) -> None:
+  """Twice the beams are no use, and the best plan counts, which is alive."""
+  config = dataclasses.replace(_CONFIG, goal=(5.0, 0.0, 0.5))
+  planner = search.BeamConfig(2, attempts=2)
+  solver = planning.Solver(
+    policy, lambda: track.make('flat'), config, planner, num_threads=1
+  )
+  reports: list[planning.Status] = []
+  found = solver.solve(reports.append)
+  assert not found.success
+  assert found.final_position[0] > 0.4  # As far as it gets.
+  assert [row.search for row in reports] == (
+    ['2 beams from 0.00 s'] * 5 + ['4 beams from 0.00 s'] * 5
+  )
+  worlds, alone = 3 * (2 + 4), 6 + 10  # At first there are 6 plans in all.
+  assert found.rollouts == 5 * worlds
+  assert found.control_steps <= 50 * (worlds + alone)
+  replayed = planning.replay(policy, track.make('flat'), config, found.plan)
+  np.testing.assert_array_equal(replayed.paths[0], found.path)
+
+
+def test_more_beams_find_what_fewer_do_not(
+  policy: pretrained.Policy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  """And those that do are kept for the next time."""
+  walk, idle = [1] * 5, [0] * 5
+
+  def beam_search(
+    problem: problem_lib.ReachingProblem, config: search.BeamConfig, report: Any
+  ) -> search.Solution:
+    assert problem.num_worlds == 3 * config.beams
+    plans = [idle, walk] if config.beams == 4 else [idle, idle]
+    asked.append((config.beams, id(problem)))
+    report(5, 1.0, 0.0)
+    return search.Solution(np.array(plans), np.ones(2), np.ones(2, bool), 7)
+
+  monkeypatch.setattr(search, 'beam_search', beam_search)
+  asked: list[tuple[int, int]] = []
+  solver = planning.Solver(
+    policy, lambda: track.make('flat'), _CONFIG, search.BeamConfig(1), 1
+  )
+  for _ in range(2):
+    found = solver.solve()
+    assert found.success
+    assert found.plan.modes == ('walk_forward',) * 5
+    assert found.rollouts == 3 * 7
+    assert found.control_steps == 50 * 6
+  assert [beams for beams, _ in asked] == [1, 2, 4] * 2
+  assert asked[:3] == asked[3:]
+
+
+def test_from_where_a_robot_is(policy: pretrained.Policy) -> None:
+  """The plan is of the knots that are left, and a good guess is kept."""
+  solver = planning.Solver(
+    policy, lambda: track.make('flat'), _CONFIG, search.BeamConfig(3, 1), 1
+  )
+  robot = solver.make_robot()
+  for _ in range(3):
+    robot.run_knot(np.array([1]))
+  found = solver.solve(robot=robot)
+  assert found.success
+  assert found.path.shape == (20, 3)
+  indices = found.plan.indices(robot.bank)
+  assert len(indices) == 2
+  guessed = solver.solve(robot=robot, guess=indices)
+  assert guessed.plan == found.plan
+  assert (guessed.rollouts, guessed.control_steps) == (0, 20)
+  knots = [robot.run_knot(mode[None]) for mode in indices]
+  trial = problem_lib.trials(knots)
+  np.testing.assert_array_equal(trial.paths[0], found.path)

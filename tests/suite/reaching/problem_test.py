@@ -1,0 +1,155 @@
+"""Tests of dmc_multimode.suite.reaching, on numbers worked out by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from dmc_multimode.arenas import terrain as terrain_lib
+from dmc_multimode.arenas import track
+from dmc_multimode.suite.reaching import problem as reaching
+
+_GOAL = np.array([2.0, 0.0, 0.5])
+
+
+def _terrain(*segments: tuple[float, float, float]) -> terrain_lib.Terrain:
+  """A batch of one: (start, end, top) of each segment, metres."""
+  starts, ends, tops = np.array(segments).T[:, None]
+  return terrain_lib.Terrain(starts, ends, tops)
+
+
+_STEPPED = _terrain((-1.0, 0.5, 0.0), (0.8, 1.2, 0.3), (1.2, 9.0, 0.1))
+
+
+def _qpos(x: float, z: float, roll: float = 0.0) -> np.ndarray:
+  """One robot, the trunk tilted by `roll` radians."""
+  turned = [math.cos(roll / 2), math.sin(roll / 2), 0.0, 0.0]
+  return np.array([[x, 0.0, z, *turned, *np.zeros(10)]])
+
+
+def test_rewards() -> None:
+  position = np.array([[2.0, 0.0, 0.5], [-1.0, 0.0, 4.5], [2.0, 1.0, 0.5]])
+  expected = [1.0, math.exp(-5.0), math.exp(-1.0)]
+  np.testing.assert_allclose(reaching.rewards(position, _GOAL), expected)
+
+
+@pytest.mark.parametrize(
+  ('qpos', 'expected'),
+  [
+    (_qpos(2.0, 0.5), True),
+    (_qpos(1.71, 0.5), True),
+    (_qpos(1.69, 0.5), False),
+    (_qpos(7.0, 0.5), True),  # Past it on the same segment.
+    (_qpos(2.0, 0.61), True),
+    (_qpos(2.0, 0.63), False),
+    (_qpos(2.0, 0.37), False),
+    (_qpos(2.0, 0.5, roll=0.79), True),  # cos 0.79 = 0.704.
+    (_qpos(2.0, 0.5, roll=0.80), False),  # cos 0.80 = 0.697.
+    (_qpos(2.0, 0.5, roll=math.pi), False),
+  ],
+)
+def test_reached(qpos: np.ndarray, expected: bool) -> None:
+  found = reaching.reached(qpos, _STEPPED, _GOAL)
+  np.testing.assert_array_equal(found, [expected])
+
+
+def test_past_the_goal_on_another_support_is_not_there() -> None:
+  """The goal is on the middle segment; 0.4 m over it is 0.6 over the last."""
+  goal = np.array([0.9, 0.0, 0.7])
+  found = reaching.reached(_qpos(1.3, 0.7), _STEPPED, goal)
+  np.testing.assert_array_equal(found, [False])
+
+
+@pytest.mark.parametrize(
+  ('duration', 'expected'), [(0.3, 10), (0.03, 1), (0.15, 5)]
+)
+def test_knot_steps(duration: float, expected: int) -> None:
+  config = reaching.ReachingConfig(knot_duration=duration)
+  assert reaching.knot_steps(config, 0.03) == expected
+
+
+@pytest.mark.parametrize('duration', [0.31, 0.01, 0.295])
+def test_knots_are_whole_control_steps(duration: float) -> None:
+  config = reaching.ReachingConfig(knot_duration=duration)
+  with pytest.raises(ValueError, match='no multiple of the control step, 0.03'):
+    reaching.knot_steps(config, 0.03)
+
+
+@pytest.mark.parametrize(
+  ('x', 'z', 'message'),
+  [
+    (0.5, 0.5, None),  # The very edge counts.
+    (1.2, 1.2, None),  # Of two tops at one place the higher one does.
+    (1.2, 0.25, 'ground at 0.3 m'),
+    (0.7, 0.5, r'x = 0.7 m, is not over the track, which runs from -1 to 9 m'),
+    (-1.1, 0.5, 'not over the track'),
+    (9.1, 0.5, 'not over the track'),
+    (0.0, 1.1, 'z = 1.1 m, is not where'),
+  ],
+)
+def test_check_goal(x: float, z: float, message: str | None) -> None:
+  if message is None:
+    reaching.check_goal((x, 0.0, z), _STEPPED)
+    return
+  with pytest.raises(ValueError, match=message):
+    reaching.check_goal((x, 0.0, z), _STEPPED)
+
+
+def test_ground_ahead() -> None:
+  """Seen every 5 cm from x = 0.22: the first is at 0.27, the 30th at 1.72."""
+  terrain = terrain_lib.Terrain(*(np.repeat(f, 2, axis=0) for f in _STEPPED))
+  seen = reaching.ground_ahead(terrain, np.array([0.22, 1.0]))
+  gap = reaching.GAP
+  expected = [0.0] * 5 + [gap] * 6 + [0.3] * 8 + [0.1] * 11
+  np.testing.assert_allclose(seen[0], expected)
+  # From the plateau it goes down.
+  np.testing.assert_allclose(seen[1, :3], 0.0, atol=1e-12)
+  np.testing.assert_allclose(seen[1, 4:], -0.2)
+
+
+def test_ground_ahead_of_a_robot_in_a_gap() -> None:
+  """Its support plane is still the one before the gap."""
+  seen = reaching.ground_ahead(_STEPPED, np.array([0.62]))[0]
+  np.testing.assert_allclose(seen[:5], [reaching.GAP] * 3 + [0.3] * 2)
+
+
+def test_ground_ahead_ends_with_the_track() -> None:
+  terrain = _terrain((-1.0, 1.02, 0.2), (np.inf, np.inf, 0.0))
+  seen = reaching.ground_ahead(terrain, np.array([0.0]))[0]
+  np.testing.assert_array_equal(seen, [0.0] * 20 + [reaching.GAP] * 10)
+
+
+@pytest.mark.parametrize('name', reaching.TRACKS)
+def test_problems_are_on_their_tracks(name: str) -> None:
+  for seed in range(5):
+    terrain = track.make(name).generate(np.random.RandomState(seed))
+    config = reaching.problem(name, terrain, seed)
+    reaching.check_goal(config.goal, terrain)
+    assert config.seed == seed
+    assert reaching.knot_steps(config, 0.03) in (5, 10)
+
+
+def test_random_problem() -> None:
+  """The goal is 0.4 m behind the last edge; there is time for 0.3 m/s."""
+  config = reaching.problem(reaching.RANDOM_TRACK, _STEPPED)
+  np.testing.assert_allclose(config.goal, (1.6, 0.0, 0.6))
+  assert (config.knots, config.knot_duration) == (36, 0.15)  # 5.33 s.
+  terrain = track.make('parkour').generate(np.random.RandomState(4))
+  assert reaching.random_problem(4) == reaching.problem('parkour', terrain, 4)
+  assert reaching.random_problem(4) != reaching.random_problem(5)
+
+
+@pytest.mark.parametrize(
+  ('time_limit', 'knots'),
+  [(None, 11), (0.3, 1), (0.59, 1), (0.9, 3), (6.0, 20)],
+)
+def test_within(time_limit: float | None, knots: int) -> None:
+  config = reaching.ReachingConfig(seed=3)
+  found = reaching.within(config, time_limit)
+  assert found == reaching.ReachingConfig(knots=knots, seed=3)
+
+
+@pytest.mark.parametrize('time_limit', [0.29, -1.0, math.inf, math.nan])
+def test_within_no_time(time_limit: float) -> None:
+  with pytest.raises(ValueError, match='time_limit must have room for a knot'):
+    reaching.within(reaching.ReachingConfig(), time_limit)

@@ -1,0 +1,95 @@
+"""Tests for gl."""
+
+import os
+import subprocess
+import sys
+from typing import Iterator
+
+import pytest
+
+from dmc_multimode.viewer import gl
+
+# GLVND looks for its EGL vendors there: no libegl in effect.
+_NO_EGL = {'__EGL_VENDOR_LIBRARY_DIRS': '/nonexistent', 'MUJOCO_GL': 'egl'}
+
+
+@pytest.fixture(autouse=True)
+def _unset(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+  """MUJOCO_GL unset and dm_control not imported; both as before afterwards."""
+  monkeypatch.setenv(gl.VARIABLE, '')
+  monkeypatch.delitem(sys.modules, 'dm_control._render', raising=False)
+  yield
+
+
+def _only(*working: str) -> gl.Probe:
+  return lambda backend: None if backend in working else 'not here'
+
+
+@pytest.mark.parametrize(
+  ('working', 'expected'),
+  [(('egl', 'osmesa'), 'egl'), (('osmesa',), 'osmesa'), (('egl',), 'egl')],
+)
+def test_first_backend_that_draws(
+  working: tuple[str, ...], expected: str
+) -> None:
+  assert gl.choose_backend(_only(*working)) == expected
+  assert os.environ['MUJOCO_GL'] == expected
+
+
+def test_no_backend_says_what_to_install() -> None:
+  with pytest.raises(OSError, match='libegl1 libgl1-mesa-dri') as caught:
+    gl.choose_backend(_only())
+  assert 'libosmesa6' in str(caught.value)
+  assert '\n' not in str(caught.value)
+  assert not os.environ['MUJOCO_GL']
+
+
+def test_the_users_choice_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+  monkeypatch.setenv('MUJOCO_GL', 'glfw')
+  assert gl.choose_backend(_only('egl', 'glfw')) == 'glfw'
+  assert os.environ['MUJOCO_GL'] == 'glfw'
+
+
+def test_a_users_choice_that_fails_is_named(
+  monkeypatch: pytest.MonkeyPatch,
+) -> None:
+  monkeypatch.setenv('MUJOCO_GL', 'osmesa')
+  with pytest.raises(OSError, match=r'MUJOCO_GL=osmesa .*\(not here\)'):
+    gl.choose_backend(_only('egl'))
+
+
+def test_too_late_after_dm_control(monkeypatch: pytest.MonkeyPatch) -> None:
+  monkeypatch.setitem(sys.modules, 'dm_control._render', os)
+  with pytest.raises(RuntimeError, match='before importing dm_control'):
+    gl.choose_backend(_only('egl'))
+
+
+def test_a_probe_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+  monkeypatch.setattr(gl, '_DRAW', 'import time; time.sleep(60)')
+  monkeypatch.setattr(gl, '_TIMEOUT', 0.1)
+  assert 'no frame within' in str(gl.why_not('egl'))
+
+
+def _run(environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
+  return subprocess.run(
+    [sys.executable, '-m', 'dmc_multimode.viewer.gl'],
+    env={**os.environ, **environment},
+    capture_output=True,
+    text=True,
+  )
+
+
+def test_this_machine_without_egl() -> None:
+  result = _run(_NO_EGL)
+  assert result.returncode == 2
+  assert result.stdout == ''
+  [line] = result.stderr.splitlines()
+  assert line.startswith('error: MUJOCO_GL=egl cannot draw here')
+  assert 'libegl1' in line
+
+
+def test_this_machine() -> None:
+  result = _run({})
+  if result.returncode:
+    pytest.skip(result.stderr)
+  assert result.stdout.strip() in gl.BACKENDS

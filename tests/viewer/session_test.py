@@ -1,0 +1,172 @@
+"""Tests of dmc_multimode.viewer.session: sessions, without any page."""
+
+import time
+from typing import Callable
+
+import numpy as np
+import pytest
+
+from dmc_multimode import pretrained
+from dmc_multimode.planner import beam_search
+from dmc_multimode.viewer import session as live
+
+_PATIENCE = 120.0  # Seconds for a search.
+
+
+@pytest.fixture(scope='module')
+def session() -> live.LiveSession:
+  return live.LiveSession(pretrained.load('pi2'))
+
+
+def _run(
+  session: live.LiveSession,
+  seconds: float,
+  until: Callable[[live.LiveState], bool] = lambda state: False,
+) -> live.LiveState:
+  """Steps the session for so long, or until something is so."""
+  for _ in range(round(seconds / session.robot.task.control_timestep)):
+    state = session.step()
+    if until(state):
+      break
+  return state
+
+
+def test_launch_lands_on_the_block(session: live.LiveSession) -> None:
+  session.set_arena('flat')
+  state = _run(session, 0.6)
+  assert (state.step.mode, state.down, state.notice) == ('idle', False, '')
+  assert state.step.position[2] == pytest.approx(0.5, abs=0.06)
+  assert 0.5 < state.step.reward <= 1
+  session.command('launch')
+  state = _run(session, 2.1)
+  assert (state.step.mode, state.down) == ('launch', False)
+  assert state.step.position[2] == pytest.approx(0.9, abs=0.06)
+  assert state.step.height == pytest.approx(0.5, abs=0.06)
+  session.reset()
+  state = _run(session, 0.3)
+  assert state.step.mode == 'idle'
+  assert state.step.position[2] == pytest.approx(0.5, abs=0.06)
+
+
+def test_the_clock_rate_lasts(session: live.LiveSession) -> None:
+  session.set_arena('flat')
+  session.command('walk_forward')
+  phase = session.robot.task.core.tracker.state.phase
+  gone = []
+  for rate in (0.5, 1.0):
+    session.set_clock_rate(rate)
+    before = phase[0]
+    session.step()
+    gone.append(phase[0] - before)
+  assert gone[1] == pytest.approx(2 * gone[0])
+  session.set_clock_rate(1.25)
+  session.reset()
+  assert session.robot.task.core.tracker.state.clock_rate[0] == 1.25
+  session.set_clock_rate(1.0)
+
+
+def test_pushes_move_and_are_seen(session: live.LiveSession) -> None:
+  session.set_arena('flat')
+  _run(session, 0.3)
+  before = session.robot.task.observation['velocity'][0].copy()
+  session.push((0.0, 0.5))
+  seen = session.robot.task.observation['velocity'][0] - before
+  assert np.linalg.norm(seen) == pytest.approx(0.5, abs=1e-6)
+  assert _run(session, 0.15).step.position[1] > 0.01
+
+
+def test_a_fall_is_told_and_undone(session: live.LiveSession) -> None:
+  session.set_arena('flat')
+  for _ in range(3):
+    session.push((0.0, 3.0))
+  state = _run(session, 3.0, lambda state: state.down)
+  assert state.step.cause == 'fallen'
+  assert state.notice == 'It has fallen.'
+  state = _run(session, 3.0, lambda state: not state.down)
+  assert 'put back to the start' in state.notice
+  assert not session.step().down
+  assert abs(session.robot.position[1]) < 0.05
+  session.command('walk_forward')
+  assert session.step().notice == ''
+
+
+def test_a_state_that_is_not_finite_is_told_and_undone(
+  session: live.LiveSession,
+) -> None:
+  session.set_arena('flat')
+  session.step()
+  session.robot.physics.data.qvel[:] = np.nan
+  state = session.step()
+  assert (state.down, state.step.cause) == (True, 'invalid')
+  assert 'not finite' in state.notice
+  state = _run(session, 3.0, lambda state: not state.down)
+  assert 'put back to the start' in state.notice
+  assert np.isfinite(session.robot.physics.data.qpos).all()
+  assert session.step().step.cause == 'none'
+
+
+def test_every_track_is_found(session: live.LiveSession) -> None:
+  session.set_arena('parkour', seed=3)
+  first = session.robot.task.root_entity.terrain.starts
+  session.set_arena('parkour', seed=4)
+  other = session.robot.task.root_entity.terrain.starts
+  assert not np.array_equal(first, other)
+  session.reset()
+  again = session.robot.task.root_entity.terrain.starts
+  np.testing.assert_array_equal(other, again)
+  assert (session.arena, session.seed) == ('parkour', 4)
+  assert session.step().step.mode == 'idle'
+
+
+def test_plan_and_replay() -> None:
+  session = live.LiveSession(
+    pretrained.load('quickstart'), planner=beam_search.BeamConfig(2, 1)
+  )
+  with pytest.raises(ValueError, match='no plan for this track'):
+    session.replay()
+  session.set_clock_rate(0.8)
+  session.plan()
+  with pytest.raises(ValueError, match='already'):
+    session.plan()
+  begun = time.monotonic()
+  while (state := session.step()).searching:
+    assert time.monotonic() - begun < _PATIENCE
+    time.sleep(0.002)  # The planner has one interpreter with us.
+  assert state.plan is not None
+  assert 'A plan that' in state.notice
+  session.replay()
+  assert session.clock_rate == 1.0
+  duration = state.plan.plan.duration
+  state = _run(session, duration)
+  assert state.replaying and state.plan
+  # One world of a batch and Composer's physics part by rounding alone.
+  np.testing.assert_allclose(
+    state.step.position, state.plan.path[-1], atol=0.05
+  )
+  state = session.step()
+  assert (state.replaying, state.notice) == (False, 'The plan is done.')
+  session.replay()
+  session.step()
+  session.command('walk_forward')
+  assert not session.step().replaying
+  session.plan()
+  session.set_arena('gap')
+  state = session.step()
+  assert (state.searching, state.plan) == (None, None)
+  session.close()
+
+
+def test_bad_input(session: live.LiveSession) -> None:
+  session.set_arena('flat')
+  for what, message in (
+    (lambda: session.command('fly'), "Unknown mode 'fly'"),
+    (lambda: session.push((3.0, 1.0)), 'at most 3'),
+    (lambda: session.push((np.nan, 0.0)), 'at most 3'),
+    (lambda: session.set_clock_rate(0.0), 'within 0.5 and 1.5'),
+    (lambda: session.set_clock_rate(np.nan), 'within 0.5 and 1.5'),
+    (lambda: session.set_arena('moat'), "Unknown arena 'moat'"),
+    (lambda: session.set_arena('flat', -1), 'seed must not be negative'),
+  ):
+    with pytest.raises(ValueError, match=message):
+      what()
+  assert session.step().step.mode == 'idle'

@@ -1,0 +1,197 @@
+"""Tests of dmc_multimode.suite.legs against the compiled robot."""
+
+import functools
+
+from absl.testing import absltest
+from absl.testing import parameterized
+from dm_control import composer
+import mujoco
+import numpy as np
+
+from dmc_multimode.walkers import kinematics
+from dmc_multimode.walkers import mini_biped
+
+_HEIGHTS = (kinematics.LOWEST, 0.43, 0.5, 0.57, 0.62, kinematics.HIGHEST)
+_CORNERS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1])).reshape(3, -1)
+
+
+@functools.cache
+def _model() -> mujoco.MjModel:
+  """The robot in empty space."""
+  arena = composer.Arena()
+  walker = mini_biped.MiniBiped()
+  walker.create_root_joints(arena.attach(walker))
+  root = arena.mjcf_model
+  return mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
+
+
+def _standing(height: float, climb: float = 0.0) -> mujoco.MjData:
+  """The robot at a height, climbing at some speed, with such legs."""
+  model = _model()
+  data = mujoco.MjData(model)
+  angles, rates = kinematics.standing(np.array([height]), np.array([climb]))
+  data.qpos[2], data.qpos[7:] = height, angles[0]
+  data.qvel[2], data.qvel[6:] = climb, rates[0]
+  mujoco.mj_forward(model, data)
+  return data
+
+
+def _sole(data: mujoco.MjData, side: str) -> np.ndarray:
+  """Returns the four lower corners of a foot, world metres, [4, 3]."""
+  foot = data.geom(f'walker/{side}_foot')
+  half_sizes = _model().geom(f'walker/{side}_foot').size
+  corners = foot.xmat.reshape(3, 3) @ (_CORNERS * half_sizes[:, None])
+  return foot.xpos + corners.T
+
+
+class StandingTest(parameterized.TestCase):
+  @parameterized.parameters(*_HEIGHTS)
+  def test_soles_are_flat_on_the_ground(self, height: float) -> None:
+    data = _standing(height)
+    for side in mini_biped.SIDES:
+      np.testing.assert_allclose(_sole(data, side)[:, 2], 0.0, atol=1e-3)
+      # Flat, more exactly than the sole's place is rounded in the XML.
+      self.assertLess(np.ptp(_sole(data, side)[:, 2]), 1e-6)
+
+  @parameterized.parameters(*_HEIGHTS)
+  def test_soles_stay_under_the_hips(self, height: float) -> None:
+    crouch, data = _standing(kinematics.CROUCH_HEIGHT), _standing(height)
+    for side in mini_biped.SIDES:
+      np.testing.assert_allclose(
+        _sole(data, side)[:, :2], _sole(crouch, side)[:, :2], atol=1e-6
+      )
+
+  @parameterized.product(height=_HEIGHTS, climb=(-0.8, 0.7))
+  def test_feet_rest_while_the_trunk_moves(
+    self, height: float, climb: float
+  ) -> None:
+    data, velocity = _standing(height, climb), np.zeros(6)
+    for side in mini_biped.SIDES:
+      foot = _model().geom(f'walker/{side}_foot').id
+      mujoco.mj_objectVelocity(
+        _model(), data, mujoco.mjtObj.mjOBJ_GEOM, foot, velocity, 0
+      )
+      # Metres and radians a second; the XML rounds the crouch to 1e-6.
+      np.testing.assert_allclose(velocity, np.zeros(6), atol=1e-5)
+
+  def test_crouch_is_zero(self) -> None:
+    angles, rates = kinematics.standing(
+      np.array([kinematics.CROUCH_HEIGHT]), np.zeros(1)
+    )
+    np.testing.assert_allclose(angles, np.zeros((1, 10)), atol=1e-12)
+    np.testing.assert_array_equal(rates, np.zeros((1, 10)))
+
+  def test_legs_are_alike_and_joints_within_their_ranges(self) -> None:
+    heights = np.linspace(kinematics.LOWEST, kinematics.HIGHEST, 20)
+    angles, rates = kinematics.standing(heights, np.ones(20))
+    for values in (angles, rates):
+      np.testing.assert_array_equal(values[:, :5], values[:, 5:])
+      np.testing.assert_array_equal(values[:, :2], np.zeros((20, 2)))
+    model = _model()
+    for i, name in enumerate(mini_biped.JOINTS):
+      joint = model.joint(f'walker/{name}')
+      self.assertTrue(joint.limited[0], name)
+      self.assertGreaterEqual(angles[:, i].min(), joint.range[0], name)
+      self.assertLessEqual(angles[:, i].max(), joint.range[1], name)
+
+  @parameterized.parameters((0.0, kinematics.LOWEST), (2.0, kinematics.HIGHEST))
+  def test_height_is_cut_to_what_legs_can_do(
+    self, height: float, bound: float
+  ) -> None:
+    climb = np.array([0.5])
+    found = kinematics.standing(np.array([height]), climb)
+    expected = kinematics.standing(np.array([bound]), climb)
+    np.testing.assert_array_equal(found, expected)
+    self.assertTrue(np.isfinite(found).all())
+
+  def test_every_row_by_itself(self) -> None:
+    heights, climbs = np.array([0.3, 0.45, 0.9]), np.array([0.0, -1.0, 1.0])
+    kept = heights.copy()
+    together = kinematics.standing(heights, climbs)
+    for i in range(3):
+      alone = kinematics.standing(heights[i : i + 1], climbs[i : i + 1])
+      for one, other in zip(together, alone, strict=True):
+        np.testing.assert_array_equal(one[i], other[0])
+    np.testing.assert_array_equal(heights, kept)
+
+
+class PlacingTest(parameterized.TestCase):
+  @parameterized.product(
+    forward=(-0.1, 0.0, 0.12), height=(0.42, 0.5, 0.58), rate=(-0.6, 0.0, 0.5)
+  )
+  def test_soles_are_where_they_should_be(
+    self, forward: float, height: float, rate: float
+  ) -> None:
+    """The left one; the right one stays under its hip, 5 cm higher."""
+    model, data = _model(), mujoco.MjData(_model())
+    row = lambda left, right: np.array([[left, right]])
+    angles, rates = kinematics.placing(
+      row(forward, 0.0),
+      row(height, height - 0.05),
+      row(rate, 0.0),
+      row(-0.3, 0.4),
+    )
+    data.qpos[2], data.qpos[7:], data.qvel[6:] = height, angles[0], rates[0]
+    mujoco.mj_forward(model, data)
+    crouch, velocity = _standing(kinematics.CROUCH_HEIGHT), np.zeros(6)
+    for side, x, z, moved in (
+      ('left', forward, 0.0, (rate, 0.0, 0.3)),
+      ('right', 0.0, 0.05, (0.0, 0.0, -0.4)),
+    ):
+      expected = _sole(crouch, side) + [x, 0.0, z]
+      np.testing.assert_allclose(_sole(data, side), expected, atol=1e-5)
+      foot = model.geom(f'walker/{side}_foot').id
+      mujoco.mj_objectVelocity(
+        model, data, mujoco.mjtObj.mjOBJ_GEOM, foot, velocity, 0
+      )
+      np.testing.assert_allclose(velocity[:3], np.zeros(3), atol=1e-5)
+      np.testing.assert_allclose(velocity[3:], moved, atol=1e-5)
+
+  def test_reach_is_cut_to_what_legs_can_do(self) -> None:
+    row = lambda value: np.full((1, 2), value)
+    far = kinematics.placing(row(0.4), row(0.6), row(0.2), row(0.2))
+    self.assertTrue(np.isfinite(far).all())
+
+
+class SteppingTest(parameterized.TestCase):
+  _LEFT = np.array([[True, False]])  # Swings.
+
+  def test_by_hand(self) -> None:
+    """A third of a step after its middle, at 0.6 m/s."""
+    length = 0.3
+    forward, lift, forward_rate, lift_rate = kinematics.stepping(
+      np.array([0.6]), self._LEFT, np.array([length / 3]), np.array([length])
+    )
+    np.testing.assert_allclose(forward, [[0.06, -0.06]])
+    np.testing.assert_allclose(lift, [[0.03, 0.0]])
+    np.testing.assert_allclose(forward_rate, [[0.6, -0.6]])
+    fall = -0.06 * np.pi / length * np.sin(np.pi / 3)
+    np.testing.assert_allclose(lift_rate, [[fall, 0.0]])
+
+  def test_nothing_where_no_foot_swings(self) -> None:
+    none, one = np.zeros((1, 2), dtype=bool), np.ones(1)
+    for values in kinematics.stepping(one, none, 0.1 * one, one):
+      np.testing.assert_array_equal(values, np.zeros((1, 2)))
+    np.testing.assert_array_equal(kinematics.sway(none, 0.1 * one, one), [0.0])
+
+  @parameterized.parameters(0.2, 0.3, 0.5)
+  def test_sway_leads_from_step_to_step(self, length: float) -> None:
+    """A pendulum over the standing foot is back in the middle in the end."""
+    for swinging, side in (self._LEFT, -1.0), (~self._LEFT, 1.0):
+      at = lambda time, swinging=swinging: float(
+        kinematics.sway(swinging, np.array([time]), np.array([length]))[0]
+      )
+      foot, y, v, dt = side * 0.09, 0.0, at(-length / 2), 1e-5
+      self.assertGreater(side * v, 0.1)
+      for i in range(round(length / dt)):
+        if i == round(length / dt / 2):
+          self.assertAlmostEqual(v, 0.0, places=3)
+          self.assertBetween(side * y, 0.0, 0.09)
+        v += dt * 9.81 / kinematics.CROUCH_HEIGHT * (y - foot)
+        y += dt * v
+      self.assertAlmostEqual(y, 0.0, places=3)
+      self.assertAlmostEqual(v, at(length / 2), places=3)
+
+
+if __name__ == '__main__':
+  absltest.main()

@@ -1,0 +1,383 @@
+"""Tests of dmc_multimode.suite.mini_biped and of xml/mini_biped.xml."""
+
+from typing import Any
+
+from absl.testing import absltest
+from absl.testing import parameterized
+from dm_control import composer
+from dm_control.composer.variation import distributions
+from dm_control.locomotion.arenas import corridors as corridor_arenas
+from dm_control.locomotion.arenas import floors
+from dm_control.locomotion.tasks import corridors as corridor_tasks
+from dm_control.locomotion.tasks import go_to_target
+import mujoco
+import numpy as np
+
+from dmc_multimode.walkers import mini_biped
+
+_STRAIGHT = np.radians([0.0, 0.0, -54.0, 108.0, -54.0] * 2)
+_STAND_HEIGHT = 0.5  # Metres.
+_WEIGHT = 14.046 * 9.81  # Newtons.
+_SWAPPED = np.r_[5:10, 0:5]  # Left joints for right ones.
+
+
+def _model(
+  joint: str = 'free',
+  ground: tuple[float, float] | None = (-5, 5),
+  plane: bool = False,
+) -> mujoco.MjModel:
+  """Compiles the robot on a box whose top is at z = 0.
+
+  Args:
+    joint: between trunk and world: 'free', or 'lift' (up and down only).
+    ground: where the box begins and ends along x, metres, or None for no box.
+    plane: whether there is a plane at z = 0 too.
+  """
+  arena = composer.Arena()
+  root = arena.mjcf_model
+  root.option.timestep = 0.005
+  root.option.integrator = 'implicitfast'
+  # An arena's no-slip iterations depend on the order of the contacts.
+  root.option.cone, root.option.noslip_iterations = 'pyramidal', 0
+  if ground:
+    root.worldbody.add(
+      'geom',
+      name='ground',
+      type='box',
+      size=[(ground[1] - ground[0]) / 2, 3, 0.5],
+      pos=[(ground[0] + ground[1]) / 2, 0, -0.5],
+      friction=[0.9, 0.005, 0.0001],
+    )
+  if plane:
+    root.worldbody.add('geom', name='plane', type='plane', size=[5, 5, 1])
+  walker = mini_biped.MiniBiped()
+  frame = arena.attach(walker)
+  if joint == 'free':
+    walker.create_root_joints(frame)
+  else:
+    frame.pos = [0, 0, _STAND_HEIGHT]
+    frame.add('joint', name='lift', type='slide', axis=[0, 0, 1])
+  return mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
+
+
+def _lowest_sole(model: mujoco.MjModel, data: mujoco.MjData) -> float:
+  """Returns the height of the lowest corner of both soles, metres."""
+  corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1)
+  heights = []
+  for side in mini_biped.SIDES:
+    foot = model.geom(f'walker/{side}_foot').id
+    offsets = data.geom_xmat[foot].reshape(3, 3) @ (
+      corners * model.geom_size[foot][:, None]
+    )
+    heights.append(data.geom_xpos[foot][2] + offsets[2].min())
+  return min(heights)
+
+
+def _settle(
+  model: mujoco.MjModel, seconds: float, action: np.ndarray
+) -> mujoco.MjData:
+  data = mujoco.MjData(model)
+  data.ctrl[:] = action
+  for _ in range(round(seconds / model.opt.timestep)):
+    mujoco.mj_step(model, data)
+  return data
+
+
+def _standing(model: mujoco.MjModel) -> mujoco.MjData:
+  """Zero joint angles at the nominal height."""
+  data = mujoco.MjData(model)
+  data.qpos[2] = _STAND_HEIGHT
+  mujoco.mj_forward(model, data)
+  return data
+
+
+class BodyTest(parameterized.TestCase):
+  def test_mass(self) -> None:
+    model = _model()
+    mass = model.body('walker/trunk').subtreemass[0]
+    self.assertAlmostEqual(mass, 14.05, delta=0.01)
+    self.assertAlmostEqual(model.body('walker/trunk').mass[0], 5.89, delta=1e-9)
+
+  def test_crouch_has_its_soles_on_the_ground(self) -> None:
+    model = _model()
+    self.assertAlmostEqual(
+      _lowest_sole(model, _standing(model)), 0.0, delta=1e-3
+    )
+
+  def test_straight_legs(self) -> None:
+    model = _model(ground=None)
+    data = mujoco.MjData(model)
+    data.qpos[7:] = _STRAIGHT
+    mujoco.mj_kinematics(model, data)
+    self.assertAlmostEqual(-_lowest_sole(model, data), 0.68, delta=5e-3)
+
+  def test_walker_knows_its_parts(self) -> None:
+    walker = mini_biped.MiniBiped()
+    names = lambda elements: tuple(element.name for element in elements)
+    self.assertEqual(names(walker.actuators), mini_biped.JOINTS)
+    self.assertEqual(names(walker.observable_joints), mini_biped.JOINTS)
+    self.assertEqual(names(walker.end_effectors), ('left_foot', 'right_foot'))
+    self.assertEqual(walker.root_body.name, 'trunk')
+    self.assertEqual(walker.egocentric_camera.name, 'egocentric')
+
+  def test_joint_ranges_are_degrees_of_the_published_robot(self) -> None:
+    model = _model()
+    for side in mini_biped.SIDES:
+      for name, low, high in (('hip_yaw', -15, 15), ('hip_roll', -30, 15)):
+        joint = model.joint(f'walker/{side}_{name}')
+        np.testing.assert_allclose(
+          np.degrees(joint.range), [low, high], atol=1e-3
+        )
+        self.assertEqual(model.dof_damping[joint.dofadr[0]], 0.1)
+        self.assertEqual(model.dof_frictionloss[joint.dofadr[0]], 0.1)
+
+
+class ServoTest(parameterized.TestCase):
+  def test_action_is_not_bounded_by_the_joint_ranges(self) -> None:
+    spec = mini_biped.MiniBiped().action_spec
+    self.assertEqual(spec.shape, (10,))
+    np.testing.assert_allclose(spec.maximum, np.full(10, np.pi), atol=1e-5)
+    np.testing.assert_allclose(spec.minimum, np.full(10, -np.pi), atol=1e-5)
+
+  def test_torque_is_eq_2(self) -> None:
+    model = _model()
+    data = mujoco.MjData(model)
+    random = np.random.RandomState(0)
+    saturated = free = 0
+    for _ in range(50):
+      data.qpos[2], data.qpos[7:] = 2.0, random.uniform(-1.5, 1.5, 10)
+      data.qvel[:] = 10 * random.standard_normal(16)
+      data.ctrl[:] = random.uniform(-3, 3, 10)
+      mujoco.mj_forward(model, data)
+      wanted = 30 * (data.ctrl - data.qpos[7:]) - 0.5 * data.qvel[6:]
+      saturated += np.sum(np.abs(wanted) > 30)
+      free += np.sum(np.abs(wanted) < 30)
+      np.testing.assert_allclose(
+        data.qfrc_actuator[6:], np.clip(wanted, -30, 30), atol=1e-9
+      )
+      np.testing.assert_array_equal(data.qfrc_actuator[:6], np.zeros(6))
+    self.assertGreater(saturated, 50)
+    self.assertGreater(free, 50)
+
+
+class MirrorTest(parameterized.TestCase):
+  """Left and right may be exchanged: joints change places, not signs."""
+
+  def _mirrored_pose(self, qpos: np.ndarray) -> np.ndarray:
+    signs = [1, -1, 1, 1, -1, 1, -1]  # y; quaternion's x and z.
+    return np.concatenate([qpos[:7] * signs, qpos[7:][_SWAPPED]])
+
+  def _mirrored_motion(self, qvel: np.ndarray) -> np.ndarray:
+    signs = [1, -1, 1, -1, 1, -1]  # vy; roll and yaw.
+    return np.concatenate([qvel[:6] * signs, qvel[6:][_SWAPPED]])
+
+  def _random_state(
+    self, model: mujoco.MjModel, random: np.random.RandomState, height: float
+  ) -> tuple[np.ndarray, np.ndarray]:
+    """Returns a state whose lowest sole is at `height`."""
+    quaternion = np.array([1.0, 0.0, 0.0, 0.0])
+    quaternion += 0.1 * random.standard_normal(4)
+    qpos = np.concatenate(
+      [
+        0.3 * random.standard_normal(2),
+        [0.0],
+        quaternion / np.linalg.norm(quaternion),
+        # Some joints are driven beyond their limits.
+        random.uniform(-0.4, 0.4, 10),
+      ]
+    )
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    qpos[2] = height - _lowest_sole(model, data)
+    return qpos, random.standard_normal(16)
+
+  @parameterized.parameters((2.0, 1e-9, False), (-0.01, 1e-9, True))
+  def test_accelerations(
+    self, height: float, tolerance: float, touching: bool
+  ) -> None:
+    # A plane, and soles no deeper in it than they are thick: otherwise MuJoCo
+    # chooses among contacts by the order of the corners.
+    model = _model(ground=None, plane=True)
+    # So that what differs is the model, not where the solver stopped.
+    model.opt.tolerance, model.opt.iterations = 1e-14, 500
+    random = np.random.RandomState(0)
+    touches = 0
+    for _ in range(20):
+      qpos, qvel = self._random_state(model, random, height)
+      action = random.uniform(-1, 1, 10)
+      accelerations = []
+      for p, v, a in (
+        (qpos, qvel, action),
+        (
+          self._mirrored_pose(qpos),
+          self._mirrored_motion(qvel),
+          action[_SWAPPED],
+        ),
+      ):
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = p, v, a
+        mujoco.mj_forward(model, data)
+        accelerations.append(data.qacc.copy())
+        touches += data.ncon
+      mine, other = accelerations
+      scale = np.abs(mine).max()
+      np.testing.assert_allclose(
+        self._mirrored_motion(other) / scale, mine / scale, atol=tolerance
+      )
+    self.assertEqual(touches > 0, touching)
+
+
+class SensorTest(parameterized.TestCase):
+  def _sensors(
+    self, model: mujoco.MjModel, data: mujoco.MjData
+  ) -> dict[str, np.ndarray]:
+    names = [model.sensor(i).name for i in range(model.nsensor)]
+    return {
+      name.removeprefix('walker/'): data.sensor(name).data.copy()
+      for name in names
+    }
+
+  def test_in_flight(self) -> None:
+    model = _model(ground=None)
+    data = mujoco.MjData(model)
+    half = np.pi / 4  # Facing +y.
+    data.qpos[3:7] = [np.cos(half), 0, 0, np.sin(half)]
+    data.qvel[:6] = [0.0, 2.0, 0.5, 0.1, 0.2, 0.3]
+    mujoco.mj_forward(model, data)
+    sensors = self._sensors(model, data)
+    np.testing.assert_allclose(sensors['gyro'], [0.1, 0.2, 0.3], atol=1e-9)
+    np.testing.assert_allclose(
+      sensors['velocimeter'], [2.0, 0.0, 0.5], atol=1e-9
+    )
+    np.testing.assert_allclose(
+      sensors['orientation'], data.qpos[3:7], atol=1e-9
+    )
+    self.assertEqual(sensors['left_foot'][0], 0.0)
+    self.assertEqual(sensors['right_foot'][0], 0.0)
+
+  def test_at_rest(self) -> None:
+    model = _model('lift')
+    data = _settle(model, 1.5, mini_biped.standing_action(_model()))
+    sensors = self._sensors(model, data)
+    np.testing.assert_allclose(
+      sensors['accelerometer'], [0.0, 0.0, 9.81], atol=0.05
+    )
+    for side in mini_biped.SIDES:
+      self.assertAlmostEqual(sensors[f'{side}_foot'][0], _WEIGHT / 2, delta=1.0)
+
+
+class StandingTest(parameterized.TestCase):
+  def test_action_balances_gravity(self) -> None:
+    """Half of the weight under each foot leaves nothing to accelerate."""
+    model = _model(ground=None)
+    model.dof_frictionloss[:] = 0.0  # It would hide a small torque.
+    data = mujoco.MjData(model)
+    data.ctrl[:] = mini_biped.standing_action(model)
+    mujoco.mj_forward(model, data)
+    centre = data.body('walker/trunk').subtree_com
+    force = np.array([0.0, 0.0, _WEIGHT / 2])
+    for side in mini_biped.SIDES:
+      foot = data.body(f'walker/{side}_foot')
+      arm = np.array([centre[0], foot.xpos[1], foot.xpos[2]]) - foot.xipos
+      foot.xfrc_applied[:] = np.concatenate([force, np.cross(arm, force)])
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.qacc, np.zeros(16), atol=2e-3)
+
+  def test_without_it_the_robot_sags(self) -> None:
+    heights = {}
+    model = _model('lift')
+    for name, action in (
+      ('standing', mini_biped.standing_action(_model())),
+      ('zero', np.zeros(10)),
+    ):
+      data = _settle(model, 1.0, action)
+      heights[name] = _STAND_HEIGHT + data.qpos[0]
+    self.assertAlmostEqual(heights['standing'], _STAND_HEIGHT, delta=0.01)
+    self.assertLess(heights['zero'], _STAND_HEIGHT - 0.03)
+
+  @parameterized.parameters((-5.0, 0.0), (0.0, 5.0))
+  def test_feet_stand_on_edges(self, start: float, end: float) -> None:
+    """The ground ends, or begins, under the middle of both feet."""
+    model = _model('lift', ground=(start, end))
+    data = _settle(model, 1.0, mini_biped.standing_action(_model()))
+    loads = []
+    for _ in range(200):  # It rocks a little on the edge: mean of a second.
+      mujoco.mj_step(model, data)
+      self.assertAlmostEqual(data.qpos[0], 0.0, delta=0.02)
+      loads.append(
+        [data.sensor(f'walker/{s}_foot').data[0] for s in mini_biped.SIDES]
+      )
+    np.testing.assert_allclose(
+      np.mean(loads, axis=0), np.full(2, _WEIGHT / 2), atol=5.0
+    )
+
+  def test_aliveness(self) -> None:
+    arena = floors.Floor()
+    walker = mini_biped.MiniBiped()
+    walker.create_root_joints(arena.attach(walker))
+    env = composer.Environment(composer.NullTask(arena))
+    physics = env.physics
+    for quaternion, expected in (
+      ([1, 0, 0, 0], 0.0),
+      ([0.5**0.5, 0.5**0.5, 0, 0], -0.5),
+      ([0, 1, 0, 0], -1.0),
+    ):
+      walker.set_pose(physics, quaternion=quaternion)
+      physics.forward()
+      self.assertAlmostEqual(walker.aliveness(physics), expected)
+
+
+class DmControlTasksTest(parameterized.TestCase):
+  """The robot in dm_control's own tasks, as its examples build them."""
+
+  def _run(self, task: composer.Task) -> None:
+    env = composer.Environment(
+      task, time_limit=30, random_state=0, strip_singleton_obs_buffer_dim=True
+    )
+    spec = env.action_spec()
+    random = np.random.RandomState(0)
+    time_step = env.reset()
+    for _ in range(20):
+      self._check(time_step, env.observation_spec())
+      time_step = env.step(random.uniform(-0.3, 0.3, spec.shape))
+      self.assertTrue(np.isfinite(time_step.reward or 0.0))
+    env.close()
+
+  def _check(self, time_step: Any, specs: Any) -> None:
+    self.assertIn('walker/joints_pos', time_step.observation)
+    for name, value in time_step.observation.items():
+      specs[name].validate(value)
+      self.assertTrue(np.isfinite(value).all(), name)
+
+  def test_run_through_corridor_with_gaps(self) -> None:
+    arena = corridor_arenas.GapsCorridor(
+      platform_length=distributions.Uniform(0.3, 2.5),
+      gap_length=distributions.Uniform(0.1, 0.4),
+      corridor_width=10,
+      corridor_length=20,
+    )
+    self._run(
+      corridor_tasks.RunThroughCorridor(
+        walker=mini_biped.MiniBiped(),
+        arena=arena,
+        walker_spawn_position=(0.5, 0, 0),
+        target_velocity=1.0,
+        physics_timestep=0.005,
+        control_timestep=0.03,
+      )
+    )
+
+  def test_go_to_target(self) -> None:
+    self._run(
+      go_to_target.GoToTarget(
+        walker=mini_biped.MiniBiped(),
+        arena=floors.Floor(),
+        physics_timestep=0.005,
+        control_timestep=0.03,
+      )
+    )
+
+
+if __name__ == '__main__':
+  absltest.main()
