@@ -21,7 +21,7 @@ from benchmarks.paper import height_profiles
 from dmc_multimode import pretrained
 from dmc_multimode.bin import app
 from dmc_multimode.evaluation import figures
-from dmc_multimode.utils import outputs
+from dmc_multimode.utils import files
 
 _POLICY = flags.DEFINE_multi_string(
   'policy', ['pi2', 'pi2_one_hot'], 'Shipped policies or folders.'
@@ -60,7 +60,7 @@ def main(argv: Sequence[str]) -> None:
   """Measures, prints, writes, draws."""
   del argv
   out = common.out_path(_OUT.value)
-  folder = outputs.folder('figures', _FIGURES.value)
+  folder = files.output_folder('figures', _FIGURES.value)
   if len(set(_MODES.value)) != 2 or len(_MODES.value) != 2:
     raise ValueError('--modes must name two modes that differ.')
   found, table, timestep = {}, {}, 0.0

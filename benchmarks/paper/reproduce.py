@@ -17,7 +17,6 @@ from benchmarks.paper import experiments
 from dmc_multimode import pretrained
 from dmc_multimode.bin import app
 from dmc_multimode.utils import files
-from dmc_multimode.utils import outputs
 
 _OUT = flags.DEFINE_string(
   'out', 'out/reproduction', 'Folder for reports, figures and logs.'
@@ -31,7 +30,7 @@ _DONE = '.done'
 def main(argv: Sequence[str]) -> None:
   """Runs what has not run, then prints Table II and where all else is."""
   del argv
-  out = outputs.folder('out', _OUT.value)
+  out = files.output_folder('out', _OUT.value)
   if out is None:
     raise ValueError('Say where to write: --out=FOLDER.')
   out.mkdir(parents=True, exist_ok=True)

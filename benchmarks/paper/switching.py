@@ -22,7 +22,7 @@ from dmc_multimode.bin import app
 from dmc_multimode.evaluation import evaluator
 from dmc_multimode.evaluation import figures
 from dmc_multimode.suite.imitation import config as task_config
-from dmc_multimode.utils import outputs
+from dmc_multimode.utils import files
 
 _POLICY = flags.DEFINE_string('policy', 'pi2', 'The multimodal policy.')
 _BEFORE = flags.DEFINE_string(
@@ -59,7 +59,7 @@ def main(argv: Sequence[str]) -> None:
   """Switches, prints, writes, draws."""
   del argv
   out = common.out_path(_OUT.value)
-  folder = outputs.folder('figures', _FIGURES.value)
+  folder = files.output_folder('figures', _FIGURES.value)
   multimodal = pretrained.load(_POLICY.value)
   unimodal = [pretrained.load(name) for name in (_BEFORE.value, _AFTER.value)]
   switched = hard_switch.HardSwitch(unimodal)

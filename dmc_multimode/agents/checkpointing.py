@@ -61,8 +61,7 @@ def load_tensors(
   """
   if not path.is_file():
     raise FileNotFoundError(f'{path} does not exist.')
-  if path.stat().st_size > _MAX_BYTES:
-    raise ValueError(f'{path} is too large: dmc_multimode did not write it.')
+  files.check_size(path, _MAX_BYTES)
   try:
     with safetensors.safe_open(str(path), framework='pt') as file:
       strings = file.metadata() or {}

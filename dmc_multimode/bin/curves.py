@@ -16,7 +16,7 @@ from absl import flags
 from dmc_multimode.bin import app
 from dmc_multimode.evaluation import figures
 from dmc_multimode.evaluation import training_figures
-from dmc_multimode.utils import outputs
+from dmc_multimode.utils import files
 
 _RUN = flags.DEFINE_multi_string(
   'run', [], 'LABEL=FOLDER of a run, or of its metrics.csv; many times.'
@@ -43,7 +43,7 @@ def _groups(items: Sequence[str]) -> dict[str, list[training_figures.Curves]]:
 def main(argv: Sequence[str]) -> None:
   """Reads and draws."""
   del argv
-  out = outputs.folder('out', _OUT.value)
+  out = files.output_folder('out', _OUT.value)
   if out is None:
     raise ValueError('Say where to draw: --out=FOLDER.')
   groups = _groups(_RUN.value)

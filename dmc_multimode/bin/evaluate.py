@@ -20,7 +20,6 @@ from dmc_multimode.bin import app
 from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.experiments import ranks
 from dmc_multimode.utils import files
-from dmc_multimode.utils import outputs
 from dmc_multimode.viewer import gl
 
 _POLICY = flags.DEFINE_string(
@@ -81,9 +80,9 @@ def _evaluate(no_videos: str, communicator: distributed.Communicator) -> None:
   if _EPISODES.value < 1:
     raise ValueError(f'--episodes must be positive, got {_EPISODES.value}.')
   rates = _rates()
-  out = outputs.file('out', _OUT.value)
-  page = outputs.file('html', _HTML.value)
-  folder = outputs.folder('figures', _FIGURES.value)
+  out = files.output_file('out', _OUT.value)
+  page = files.output_file('html', _HTML.value)
+  folder = files.output_folder('figures', _FIGURES.value)
   policy = pretrained.load(_POLICY.value)
   encoder_seed = _encoder_seed(_POLICY.value)
   config = task_config.for_evaluation(policy.config)

@@ -24,7 +24,6 @@ from dmc_multimode import pretrained
 from dmc_multimode.bin import app
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.utils import files
-from dmc_multimode.utils import outputs
 
 _POLICY = flags.DEFINE_string(
   'policy', 'pi2', 'Name of a shipped policy, or folder of a policy or a run.'
@@ -137,7 +136,7 @@ def _missing(error: ModuleNotFoundError) -> str:
 def main(argv: Sequence[str]) -> None:
   """Exports, compares and writes: no file is replaced by a wrong one."""
   del argv
-  out = outputs.file('out', _OUT.value)
+  out = files.output_file('out', _OUT.value)
   if out is None:
     raise ValueError('Say what to write: --out=FILE.onnx.')
   policy = pretrained.load(_POLICY.value)

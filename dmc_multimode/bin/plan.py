@@ -34,7 +34,6 @@ from dmc_multimode.planner import replanning
 from dmc_multimode.planner import solver as planning
 from dmc_multimode.suite.reaching import problem as reaching
 from dmc_multimode.utils import files
-from dmc_multimode.utils import outputs
 
 _POLICY = flags.DEFINE_string(
   'policy', 'pi2', 'Name of a shipped policy, or a folder.'
@@ -187,8 +186,8 @@ def _print(found: planning.Found) -> None:
 def main(argv: Sequence[str]) -> int:
   """Plans, prints, writes, draws; returns whether the goal was reached."""
   del argv
-  out = outputs.file('out', _OUT.value)
-  figure = outputs.file('figure', _FIGURE.value)
+  out = files.output_file('out', _OUT.value)
+  figure = files.output_file('figure', _FIGURE.value)
   config, sizes = read_config(), read_sizes()
   pushes, replan_every = read_pushes(config), read_replan_every()
   make_arena = lambda: track.make(_ARENA.value, sizes=sizes)

@@ -32,7 +32,6 @@ from dmc_multimode.utils import typed
 CONFIG_FILE = 'config.json'
 ENCODER = 'encoder'  # The folder of a run's mode encoder.
 INITIAL = 'initial'  # The folder of the policy that a run has begun with.
-_MAX_BYTES = 64 << 20  # Of a configuration; a larger one is none of ours.
 _MAX_WORLDS = 1_000_000
 _FLAT_SEGMENTS = 2  # The ground and the step of at most one command.
 _OBSTACLE_SEGMENTS = 3  # The ground and what each of two commands may meet.
@@ -186,10 +185,9 @@ def load_run(directory: pathlib.Path) -> Ingredients:
     raise FileNotFoundError(
       f'{directory} holds no run to resume; start one without --resume.'
     )
-  if path.stat().st_size > _MAX_BYTES:
-    raise ValueError(f'{path} is too large: dmc_multimode did not write it.')
+  content = files.read_bounded(path)
   try:
-    return parse(path.read_text(encoding='utf-8'))
+    return parse(content.decode())
   except ValueError as error:
     raise ValueError(f'{path} is damaged: {error}') from error
 

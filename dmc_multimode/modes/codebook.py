@@ -107,16 +107,14 @@ def load(path: pathlib.Path) -> Codebook:
     FileNotFoundError: there is no such file.
     ValueError: the file is not a codebook.
   """
-  if path.stat().st_size > _MAX_BYTES:
-    raise ValueError(f'{path} is too large for a codebook.')
+  content = files.read_json(path, _MAX_BYTES)
   try:
-    rows = json.loads(path.read_text(encoding='utf-8'))['latents']
+    rows = content['latents']
     return Codebook(tuple(rows), np.array(list(rows.values()), np.float32))
   except (
     AttributeError,
     KeyError,
     OverflowError,
-    RecursionError,
     TypeError,
     ValueError,
   ) as error:

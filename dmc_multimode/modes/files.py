@@ -29,6 +29,7 @@ import yaml
 
 from dmc_multimode.modes import fields
 from dmc_multimode.modes import reference
+from dmc_multimode.utils import files
 
 MAX_BYTES = 1_000_000
 
@@ -92,15 +93,10 @@ def _read(path: str | os.PathLike[str]) -> str:
   """Returns the text of a file; raises ModeFileError where there is none."""
   name = os.fspath(path)
   try:
-    with open(path, 'rb') as file:
-      content = file.read(MAX_BYTES + 1)
-  except (OSError, ValueError) as error:  # ValueError: a NUL in the name.
+    content = files.read_bounded(path, MAX_BYTES)
+  except (OSError, ValueError) as error:  # Too large, or a NUL in the name.
     reason = getattr(error, 'strerror', None) or str(error)
     raise ModeFileError(f'{name}: cannot be read ({reason}).') from None
-  if len(content) > MAX_BYTES:
-    raise ModeFileError(
-      f'{name}: larger than {MAX_BYTES} bytes; not a mode file.'
-    )
   try:
     return content.decode('utf-8-sig')
   except UnicodeDecodeError as error:

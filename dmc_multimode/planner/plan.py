@@ -1,7 +1,6 @@
 """Mode plans: a zero-order spline of modes over knots (Sec. II-E)."""
 
 import dataclasses
-import json
 import math
 import pathlib
 import reprlib
@@ -12,6 +11,7 @@ import numpy as np
 from dmc_multimode.modes import reference
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.planner import pushes as pushes_lib
+from dmc_multimode.utils import files
 
 _MAX_BYTES = 1 << 20  # Larger files are no plans.
 _MAX_KNOTS = 10_000
@@ -174,11 +174,9 @@ def read(path: pathlib.Path) -> dict[str, Any]:
   """
   if not path.is_file():
     raise FileNotFoundError(f'There is no plan {path}.')
-  if path.stat().st_size > _MAX_BYTES:
-    raise ValueError(f'{path} is too large for a plan.')
+  values = files.read_json(path, _MAX_BYTES)
   try:
-    values = json.loads(path.read_text(encoding='utf-8'))
     from_dict(values)
-  except (ValueError, RecursionError) as error:
+  except ValueError as error:
     raise ValueError(f'{path}: {error}') from error
   return values

@@ -11,7 +11,6 @@ and never a pickle: loading one runs no code.
 
 import dataclasses
 import functools
-import json
 import os
 import pathlib
 from typing import Any, Mapping
@@ -37,7 +36,6 @@ METRICS_FILE = 'metrics.json'
 RUN_SUBFOLDER = 'policy'  # Where a training run keeps its policy.
 
 _FORMAT = 'dmc_multimode.policy.1'
-_MAX_BYTES = 64 << 20  # Larger files are none of ours.
 _MAX_UNITS = 4096
 _NUM_ACTIONS = observations.NUM_JOINTS
 
@@ -94,9 +92,7 @@ class Policy:
     checkpointing.save_tensors(
       directory / WEIGHTS_FILE, self.network.state_dict(), {'format': _FORMAT}
     )
-    files.write(
-      directory / DESCRIPTION_FILE, json.dumps(description, indent=1).encode()
-    )
+    files.write_json(directory / DESCRIPTION_FILE, description)
 
 
 def names() -> tuple[str, ...]:
@@ -154,12 +150,7 @@ def _find(policy: str | os.PathLike[str]) -> pathlib.Path:
 
 
 def _read_json(path: pathlib.Path) -> dict[str, Any]:
-  if path.stat().st_size > _MAX_BYTES:
-    raise ValueError(f'{path} is too large for a policy.')
-  try:
-    content = json.loads(path.read_text(encoding='utf-8'))
-  except (ValueError, RecursionError) as error:
-    raise ValueError(f'{path} is damaged: {error}.') from error
+  content = files.read_json(path)
   if not isinstance(content, dict):
     raise ValueError(f'{path} is damaged: it holds no object.')
   return content
@@ -207,8 +198,7 @@ def _untrained(description: dict[str, Any]) -> Policy:
 def _load_weights(network: networks.ActorCritic, path: pathlib.Path) -> None:
   if not path.is_file():
     raise FileNotFoundError(f'{path} does not exist.')
-  if path.stat().st_size > _MAX_BYTES:
-    raise ValueError(f'{path} is too large for a policy.')
+  files.check_size(path)
   weights, metadata = checkpointing.load_tensors(path)
   if metadata.get('format') != _FORMAT:
     raise ValueError(f'{path} does not hold the weights of a policy.')

@@ -1,11 +1,55 @@
-"""Files that are whole or not there."""
+"""Files that are whole or not there, read with a bound and one-line errors."""
 
 import glob
+import json
 import os
 import pathlib
+from typing import Any
+
+Path = str | os.PathLike[str]
+
+MAX_BYTES = 64 << 20  # Of what this package writes, checkpoints apart.
 
 
-def write(path: str | os.PathLike[str], content: bytes) -> None:
+def check_size(path: Path, limit: int = MAX_BYTES) -> None:
+  """Refuses a file too large to be ours, by ValueError; see `read_bounded`."""
+  if os.path.getsize(path) > limit:
+    raise ValueError(f'{path} is too large: {limit:,} bytes are the most.')
+
+
+def read_bounded(path: Path, limit: int = MAX_BYTES) -> bytes:
+  """Returns a file's content.
+
+  Args:
+    path: of the file.
+    limit: bytes; what is larger is not ours, and would fill the memory.
+
+  Raises:
+    OSError: the file is missing or cannot be read.
+    ValueError: it is larger.
+  """
+  with open(path, 'rb') as file:
+    content = file.read(limit + 1)
+  if len(content) > limit:
+    raise ValueError(f'{path} is too large: {limit:,} bytes are the most.')
+  return content
+
+
+def read_json(path: Path, limit: int = MAX_BYTES) -> Any:
+  """Returns the values of a JSON file.
+
+  Raises:
+    OSError: the file is missing or cannot be read.
+    ValueError: it is too large, or no JSON; NaN and Infinity are none.
+  """
+  content = read_bounded(path, limit)
+  try:
+    return json.loads(content, parse_constant=_refuse)
+  except (ValueError, RecursionError) as error:
+    raise ValueError(f'{path} is damaged: {error}.') from error
+
+
+def write(path: Path, content: bytes) -> None:
   """Replaces a file in one step: a reader sees the old or the new content.
 
   Raises:
@@ -22,6 +66,58 @@ def write(path: str | os.PathLike[str], content: bytes) -> None:
     os.replace(temporary, path)
   finally:
     temporary.unlink(missing_ok=True)
+
+
+def write_json(path: Path, values: Any) -> None:
+  """Replaces a file as `write` does, by JSON that `read_json` reads."""
+  text = json.dumps(values, indent=1, allow_nan=False) + '\n'
+  write(path, text.encode())
+
+
+def output_file(flag: str, value: Path | None) -> pathlib.Path | None:
+  """Returns the file to write that a flag names; None if it names none.
+
+  Commands ask before the work, so that it is not lost at its end.
+
+  Args:
+    flag: for the error, without dashes.
+    value: of the flag.
+
+  Raises:
+    OSError: it is a folder, or cannot be written.
+  """
+  if not value:
+    return None
+  path = pathlib.Path(value)
+  if path.is_dir():
+    raise IsADirectoryError(f'--{flag}={value} is a folder; name a file.')
+  _check_writable(path.absolute().parent, f'--{flag}={value}')
+  return path
+
+
+def output_folder(flag: str, value: Path | None) -> pathlib.Path | None:
+  """Returns the folder that a flag names, made or not; None if it names none.
+
+  Raises:
+    OSError: it is a file, or nothing can be written into it.
+  """
+  if not value:
+    return None
+  path = pathlib.Path(value)
+  if path.exists() and not path.is_dir():
+    raise NotADirectoryError(f'--{flag}={value} is a file; name a folder.')
+  _check_writable(path.absolute(), f'--{flag}={value}')
+  return path
+
+
+def _check_writable(path: pathlib.Path, flag: str) -> None:
+  parent = next(p for p in (path, *path.parents) if p.exists())
+  if not (parent.is_dir() and os.access(parent, os.W_OK)):
+    raise NotADirectoryError(f'{flag}: cannot write into {parent}.')
+
+
+def _refuse(constant: str) -> None:
+  raise ValueError(f'{constant} is not a finite number')
 
 
 def _clean_up(path: pathlib.Path) -> None:

@@ -227,7 +227,7 @@ class ErrorsTest(_FilesTest):
     self.fails(self.write(text, 'modes.JSON'), line, message)
 
   def test_too_large(self) -> None:
-    self.fails(self.write(' ' * (mode_files.MAX_BYTES + 1)), ' ', 'larger than')
+    self.fails(self.write(' ' * (mode_files.MAX_BYTES + 1)), ' ', 'too large')
 
   def test_too_many_keyframes(self) -> None:
     frame = '{phase: 0, position: [0, 0, 1]},'

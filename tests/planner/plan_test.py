@@ -60,7 +60,7 @@ def test_round_trip(modes: list[str], dt: float) -> None:
     ({'plan': ['idle', 3, 'idle', '']}, 'names of modes, got 3'),
     ({'knots': 3}, '4 modes for 3 knots'),
     ({'dt': 0.0}, 'longer than 0'),
-    ({'dt': math.nan}, 'longer than 0'),
+    ({'dt': math.nan}, 'longer than 0|not a finite number'),
     ({'dt': '0.3'}, 'not seconds'),
     ({'dt': True}, 'not seconds'),
   ],
@@ -73,7 +73,7 @@ def test_rejects(
     plan_lib.from_dict(values)
   path = tmp_path / 'plan.json'
   path.write_text(json.dumps(values))
-  with pytest.raises(ValueError, match=rf'plan\.json: .*{message}'):
+  with pytest.raises(ValueError, match=rf'plan\.json.*({message})'):
     plan_lib.read(path)
 
 

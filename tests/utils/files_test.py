@@ -1,4 +1,4 @@
-"""Tests for atomic."""
+"""Tests for files."""
 
 import os
 import pathlib
@@ -37,3 +37,45 @@ def test_a_full_disk_leaves_the_old_file(tmp_path: pathlib.Path) -> None:
       files.write(path, b'two')
   assert path.read_bytes() == b'one'
   assert os.listdir(tmp_path) == ['file']
+
+
+def test_json_comes_back(tmp_path: pathlib.Path) -> None:
+  path = tmp_path / 'file'
+  files.write_json(path, {'sizes': [1, 2.5]})
+  assert files.read_json(path) == {'sizes': [1, 2.5]}
+
+
+@pytest.mark.parametrize(
+  'text', ['', '{"a"', '[NaN]', '[' * 100_000, '\xff', '[-Infinity]']
+)
+def test_json_that_is_none(tmp_path: pathlib.Path, text: str) -> None:
+  path = tmp_path / 'file'
+  path.write_text(text, encoding='latin-1')
+  with pytest.raises(ValueError, match=f'{path} is damaged: '):
+    files.read_json(path)
+
+
+def test_a_file_of_another_size(tmp_path: pathlib.Path) -> None:
+  path = tmp_path / 'file'
+  path.write_bytes(bytes(9))
+  files.check_size(path, 9)
+  assert files.read_bounded(path, 9) == bytes(9)
+  for read in (files.check_size, files.read_bounded):
+    with pytest.raises(ValueError, match='too large'):
+      read(path, 8)
+
+
+def test_outputs(tmp_path: pathlib.Path) -> None:
+  file = tmp_path / 'file'
+  file.touch()
+  assert files.output_file('out', None) is None
+  assert files.output_folder('out', '') is None
+  assert files.output_file('out', file) == file
+  new = tmp_path / 'new' / 'folder'
+  assert files.output_folder('out', new) == new
+  with pytest.raises(IsADirectoryError, match=f'--out={tmp_path} is a folder'):
+    files.output_file('out', tmp_path)
+  with pytest.raises(NotADirectoryError, match=f'--out={file} is a file'):
+    files.output_folder('out', file)
+  with pytest.raises(NotADirectoryError, match='cannot write into'):
+    files.output_file('out', file / 'below')

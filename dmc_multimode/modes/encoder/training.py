@@ -49,7 +49,6 @@ SAFETY = 0.98  # Share of a tolerance to reach, for other machines' rounding.
 HINGE = 1.6  # Modes repel up to this multiple of the minimum separation.
 MAX_GRADIENT_NORM = 1.0
 _MAX_UNITS = 1024  # So that a foreign file cannot ask for all memory.
-_MAX_BYTES = 64 << 20  # Larger files are none of ours.
 
 
 class ConvergenceError(ValueError):
@@ -239,9 +238,7 @@ def digest(weights: bytes) -> str:
 def _read(path: pathlib.Path) -> bytes:
   """Returns a file's content; raises ValueError where there is none."""
   try:
-    if path.stat().st_size > _MAX_BYTES:
-      raise ValueError(f'{path}: too large for a mode encoder; {_ADVICE}')
-    return path.read_bytes()
+    return files.read_bounded(path)
   except OSError as error:
     raise ValueError(
       f'{path}: cannot be read ({error.strerror}); {_ADVICE}'
