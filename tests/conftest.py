@@ -18,10 +18,6 @@ else:
   _NO_GL = ''
 
 
-def pytest_configure(config: pytest.Config) -> None:
-  config.addinivalue_line('markers', 'gl: draws, which takes an OpenGL.')
-
-
 def pytest_runtest_setup(item: pytest.Item) -> None:
   if _NO_GL and item.get_closest_marker('gl'):
     pytest.skip(_NO_GL)
