@@ -34,7 +34,6 @@ from dmc_multimode.agents import runner
 from dmc_multimode.agents.ppo import learning
 from dmc_multimode.experiments import setup
 from dmc_multimode.modes import library
-from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
 
 OURS = 'ours'
@@ -116,10 +115,7 @@ def make(
   """
   if name not in NAMES:
     raise ValueError(f'Unknown learner {name!r}; there is: {", ".join(NAMES)}.')
-  motions = library.resolve(config.modes)
-  names = tuple(motion.name for motion in motions)
-  codebook = multimode_biped.library_codebook().subset(names)
-  run = setup.build(config, motions, codebook)
+  run = setup.build(config, library.mode_set(config.modes))
   if name == OURS:
     return Ours(run)
   module, kind = _LIBRARIES[name]

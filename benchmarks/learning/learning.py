@@ -30,8 +30,7 @@ from dmc_multimode.bin import app
 from dmc_multimode.evaluation import episodes as evaluation_episodes
 from dmc_multimode.evaluation import evaluator as scoring
 from dmc_multimode.experiments import setup
-from dmc_multimode.modes import codebook as codebook_lib
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import config as task_config
@@ -93,8 +92,7 @@ class Result(NamedTuple):
 class _Candidate:
   """What `scoring.Evaluator` asks of a policy."""
 
-  motions: tuple[reference.ReferenceMotion, ...]
-  codebook: codebook_lib.Codebook
+  mode_set: mode_set_lib.ModeSet
   select_action: evaluation_episodes.SelectAction
   begin_episodes: Callable[[], None]
 
@@ -127,8 +125,7 @@ def drive(learner: learners.Learner) -> Lap:
 def judge(learner: learners.Learner, config: setup.RunConfig) -> dict[str, Any]:
   """Returns the report of `evaluate` on what has been learned."""
   candidate = _Candidate(
-    learner.environment.motions,
-    learner.environment.codebook,
+    learner.environment.mode_set,
     learner.select_action,
     learner.begin_episodes,
   )

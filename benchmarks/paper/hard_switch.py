@@ -10,8 +10,7 @@ from dmc_multimode import pretrained
 from dmc_multimode.agents.ppo import symmetry
 from dmc_multimode.evaluation import acceptance
 from dmc_multimode.evaluation import evaluator as scoring
-from dmc_multimode.modes import codebook as codebook_lib
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import observations
@@ -31,15 +30,14 @@ class HardSwitch:
       ValueError: a policy knows more than one mode, or two know the same.
     """
     for policy in policies:
-      if len(policy.motions) != 1:
-        names = ', '.join(motion.name for motion in policy.motions)
+      if len(policy.mode_set) != 1:
+        names = ', '.join(policy.mode_set.names)
         raise ValueError(f'A unimodal policy is needed, not one of {names}.')
     self._policies = tuple(policies)
-    self.motions: tuple[reference.ReferenceMotion, ...] = tuple(
-      policy.motions[0] for policy in policies
+    self.mode_set: mode_set_lib.ModeSet = mode_set_lib.one_hot(
+      [policy.mode_set.motions[0] for policy in policies]
     )
-    self.codebook: codebook_lib.Codebook = codebook_lib.one_hot(self.motions)
-    self._commands = symmetry.Commands(self.codebook.latents)
+    self._commands = symmetry.Commands(self.mode_set.latents)
 
   def select_action(self, observation: np.ndarray) -> np.ndarray:
     """Joint targets [B, 10] for observations [B, D] with one-hot commands."""
@@ -50,20 +48,20 @@ class HardSwitch:
     )
     for i, policy in enumerate(self._policies):
       mine = observation[running == i]
-      latent = np.tile(policy.codebook.latents, (len(mine), 1))
+      latent = np.tile(policy.mode_set.latents, (len(mine), 1))
       seen = np.concatenate([mine[:, :start], latent, mine[:, end:]], axis=1)
       actions[running == i] = policy.select_action(seen)
     return actions
 
 
 def make_schedule(
-  bank: reference.ReferenceBank, first: str, second: str, phases: int
+  mode_set: mode_set_lib.ModeSet, first: str, second: str, phases: int
 ) -> schedule_lib.ModeSchedule:
   """Switches from one mode to another at so many phases, a world each."""
-  modes = np.tile([bank.index(first), bank.index(second)], (phases, 1))
+  modes = np.tile([mode_set.index(first), mode_set.index(second)], (phases, 1))
   cycles = _CYCLES + np.arange(phases) / phases
   starts = np.zeros((phases, 2))
-  starts[:, 1] = cycles * bank.durations[bank.index(first)]
+  starts[:, 1] = cycles * mode_set.bank.durations[mode_set.index(first)]
   return schedule_lib.ModeSchedule(modes, starts, np.ones(phases))
 
 
@@ -79,8 +77,8 @@ def judge(
 
   The heights are in the world, metres, [T, phases]; nan after an episode.
   """
-  bank = reference.ReferenceBank(policy.motions)
-  schedule = make_schedule(bank, first, second, phases)
+  mode_set = policy.mode_set
+  schedule = make_schedule(mode_set, first, second, phases)
   config = dataclasses.replace(
     config,
     time_limit=float(schedule.starts.max()) + _SECONDS,
@@ -88,7 +86,7 @@ def judge(
   )
   evaluator = scoring.Evaluator(policy, config, seed, quiet=True)
   found = evaluator.run(schedule, 'switches')
-  motion = bank.motions[bank.index(second)]
+  motion = mode_set.motions[mode_set.index(second)]
   kept = []
   for trace in evaluator.traces(found, motion.duration):
     verdicts = acceptance.judge(motion, [trace])

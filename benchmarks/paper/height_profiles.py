@@ -7,7 +7,6 @@ import numpy as np
 
 from dmc_multimode import pretrained
 from dmc_multimode.evaluation import evaluator as scoring
-from dmc_multimode.modes import reference
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import terminations
@@ -39,8 +38,7 @@ def profiles(
   config = dataclasses.replace(
     task_config.for_evaluation(policy.config), limits=terminations.NO_LIMITS
   )
-  bank = reference.ReferenceBank(policy.motions)
-  ids = np.repeat([bank.index(name) for name in modes], episodes)
+  ids = np.repeat([policy.mode_set.index(name) for name in modes], episodes)
   evaluator = scoring.Evaluator(policy, config, seed, quiet=True)
   found = evaluator.run(schedule_lib.single(ids), 'profiles')
   result = {}

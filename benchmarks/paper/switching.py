@@ -63,7 +63,7 @@ def main(argv: Sequence[str]) -> None:
   multimodal = pretrained.load(_POLICY.value)
   unimodal = [pretrained.load(name) for name in (_BEFORE.value, _AFTER.value)]
   switched = hard_switch.HardSwitch(unimodal)
-  first, second = (motion.name for motion in switched.motions)
+  first, second = switched.mode_set.names
   config = task_config.for_evaluation(multimodal.config)
   policies: dict[str, evaluator.Policy] = {
     _POLICY.value: multimodal,

@@ -79,8 +79,7 @@ def _task(arena: str, timestep: float) -> composer_task.Imitation:
   made = track.make(arena, _SEGMENTS) if arena == 'flat' else track.make(arena)
   policy = pretrained.load(_POLICY)
   return multimode_biped.make_task(
-    policy.motions,
-    policy.codebook,
+    policy.mode_set,
     arena=made,
     config=task_config.ImitationConfig(physics_timestep=timestep),
   )

@@ -137,7 +137,7 @@ def _warm_up() -> None:
   from dmc_multimode.suite.imitation import batched_env
 
   torch.optim.Adam([torch.zeros(1)])
-  task = multimode_biped.make_task(library.resolve('idle'))
+  task = multimode_biped.make_task(library.mode_set('idle'))
   batched_env.BatchedImitation(task, 1, 0, 1)
 
 

@@ -18,8 +18,8 @@ from benchmarks.reliability import fault_hooks
 from dmc_multimode.agents import loggers
 from dmc_multimode.agents import runner
 from dmc_multimode.experiments import setup
-from dmc_multimode.modes import codebook
 from dmc_multimode.modes import library
+from dmc_multimode.modes import mode_set
 
 _THREADS = (1, 2, 4)
 _REPEATS = 2
@@ -28,7 +28,6 @@ _WORLDS, _STEPS, _ITERATIONS = 64, 60, 3
 
 
 def _build(threads: int) -> setup.Run:
-  motions = library.resolve(_MODES)
   config = setup.RunConfig(
     modes=_MODES, num_worlds=_WORLDS, threads=threads, one_hot=True
   )
@@ -38,7 +37,7 @@ def _build(threads: int) -> setup.Run:
       'ppo': type(config.ppo)(symmetry='none'),
     }
   )
-  return setup.build(config, motions, codebook.one_hot(motions))
+  return setup.build(config, mode_set.one_hot(library.resolve(_MODES)))
 
 
 def physics(threads: int) -> str:

@@ -12,6 +12,7 @@ from typing import Any, Callable, Mapping, NamedTuple, Sequence
 from dmc_multimode.modes import codebook
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
+from dmc_multimode.modes import mode_set
 from dmc_multimode.planner import plan as plan_lib
 
 _MODE = """\
@@ -114,7 +115,7 @@ def targets(folder: pathlib.Path) -> Mapping[str, Target]:
     'codebook.json': target(
       codebook.FILE,
       codebook.load,
-      [codebook.one_hot(motions).to_json().encode()],
+      [mode_set.one_hot(motions).codebook.to_json().encode()],
       ValueError,
       0.1,
     ),

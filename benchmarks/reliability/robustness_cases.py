@@ -71,8 +71,12 @@ class Worlds(batched_env.BatchedImitation):
     self._pushes = np.random.RandomState(seed)
     self._steps = 0
     task = multimode_biped.make_task(
-      tuple(_with_edge(motion, case.edge) for motion in policy.motions),
-      policy.codebook,
+      dataclasses.replace(
+        policy.mode_set,
+        motions=tuple(
+          _with_edge(motion, case.edge) for motion in policy.mode_set.motions
+        ),
+      ),
       episodes.ScheduledEpisodes(schedule),
       config=dataclasses.replace(
         config, obstacles=case.obstacles, obstacles_start=0

@@ -134,7 +134,7 @@ def soak_worlds() -> Row:
   policy = pretrained.load(_POLICY.value)
   worlds = batched_env.BatchedImitation(
     multimode_biped.make_task(
-      policy.motions, policy.codebook, arena='parkour', config=policy.config
+      policy.mode_set, arena='parkour', config=policy.config
     ),
     _NUM_WORLDS.value,
     _SEED.value,
@@ -155,9 +155,7 @@ def soak_composer() -> Row:
   from dmc_multimode.suite import multimode_biped
 
   policy = pretrained.load(_POLICY.value)
-  task = multimode_biped.make_task(
-    policy.motions, policy.codebook, config=policy.config
-  )
+  task = multimode_biped.make_task(policy.mode_set, config=policy.config)
   environment = multimode_biped.make_environment(task, random=_SEED.value)
   now = [time.monotonic()]
   timestep = [environment.reset()]
@@ -180,7 +178,7 @@ def soak_recordings() -> Row:
   from dmc_multimode.viewer import rollout
 
   policy = pretrained.load(_POLICY.value)
-  what = rollout.RolloutConfig((policy.codebook.names[0],), (0.12,))
+  what = rollout.RolloutConfig((policy.mode_set.names[0],), (0.12,))
   config = recording.RecordingConfig(width=_SIZE, height=_SIZE)
   with tempfile.TemporaryDirectory() as folder:
     out = pathlib.Path(folder) / 'video.mp4'

@@ -247,17 +247,15 @@ def _rate(step: Callable[[], None], count: int, seconds: float) -> float:
 
 
 def _build(config: setup.RunConfig) -> setup.Run:
-  motions = library.resolve(config.modes)
-  names = tuple(motion.name for motion in motions)
+  mode_set = library.mode_set(config.modes)
   if not _POLICY.value:
-    codebook = multimode_biped.library_codebook().subset(names)
-    return setup.build(config, motions, codebook)
+    return setup.build(config, mode_set)
   trained = policy_lib.load(_POLICY.value)
-  if trained.codebook.names != names:
+  if trained.mode_set.names != mode_set.names:
     raise ValueError(
-      f'--policy knows {trained.codebook.names}: pass them as --modes.'
+      f'--policy knows {trained.mode_set.names}: pass them as --modes.'
     )
-  run = setup.build(config, trained.motions, trained.codebook)
+  run = setup.build(config, trained.mode_set)
   run.network.load_state_dict(trained.network.state_dict())
   return run
 

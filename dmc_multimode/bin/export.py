@@ -50,14 +50,14 @@ class _Actor(nn.Module):
 
 def metadata(policy: pretrained.Policy) -> dict[str, Any]:
   """Returns what the model's metadata say, JSON-able; see the module."""
-  codebook = policy.codebook
+  mode_set = policy.mode_set
   return {
-    'modes': list(codebook.names),
-    'latents': codebook.latents.tolist(),
+    'modes': list(mode_set.names),
+    'latents': mode_set.latents.tolist(),
     'control_timestep': policy.config.control_timestep,
     'observation': [
       {'name': name, 'size': size}
-      for name, size in observations.layout(codebook.latent_dim)
+      for name, size in observations.layout(mode_set.latent_dim)
     ],
   }
 

@@ -36,9 +36,9 @@ from dmc_multimode.experiments import fine_tuning
 from dmc_multimode.experiments import launch
 from dmc_multimode.experiments import ranks
 from dmc_multimode.experiments import setup
-from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import reference
 from dmc_multimode.modes.encoder import training as encoder_training
 from dmc_multimode.pretrained import policy as policy_lib
@@ -143,13 +143,13 @@ def _begin(directory: pathlib.Path, size: int) -> setup.Ingredients:
     start = fine_tuning.load(_INIT_FROM.value, _ENCODER.value)
   config, motions = _configure(start)
   setup.check_ranks(config, size)
-  codebook = codebook_lib.one_hot(motions)
+  mode_set = mode_set_lib.one_hot(motions)
   if config.ppo.symmetry != 'none':
-    task_symmetry.mirror_image(motions, codebook)  # Raises where there is none.
+    task_symmetry.mirror_image(mode_set)  # Raises where there is none.
   encoder = None
   if _ENCODER.value and not start and not config.one_hot:
     encoder = encoder_training.load(_ENCODER.value)
-    encoder.codebook().subset(codebook.names)
+    encoder.codebook().subset(mode_set.names)
   if (directory / setup.CONFIG_FILE).exists() or checkpointing.Checkpointer(
     directory
   ).exists():
@@ -158,16 +158,17 @@ def _begin(directory: pathlib.Path, size: int) -> setup.Ingredients:
     )
   if start:
     print('Extending the mode encoder.', flush=True)
-    encoder, codebook = start.encode(motions)
+    encoder, mode_set = start.encode(motions)
   directory.mkdir(parents=True, exist_ok=True)
   if start:
     start.policy.save(directory / setup.INITIAL)
   elif not config.one_hot:
     encoder = encoder or _train_encoder(motions, config.seed)
-    codebook = encoder.codebook().subset(codebook.names)
+    codebook = encoder.codebook().subset(mode_set.names)
+    mode_set = mode_set_lib.ModeSet(motions, codebook)
   if encoder:
     encoder.save(directory / setup.ENCODER)
-  return config, motions, codebook
+  return config, mode_set
 
 
 def _train_encoder(
@@ -182,7 +183,7 @@ def _train_encoder(
 
 def _continue(directory: pathlib.Path, size: int) -> setup.Ingredients:
   """Reads a run back; flags that contradict it are an error."""
-  config, motions, codebook = setup.load_run(directory)
+  config, mode_set = setup.load_run(directory)
   stored = setup.to_dict(config)
   wanted = setup.to_dict(_with_flags(config))
   for name, value in wanted.items():
@@ -192,7 +193,7 @@ def _continue(directory: pathlib.Path, size: int) -> setup.Ingredients:
         'leave them out to resume it, or name another folder.'
       )
   setup.check_ranks(config, size)
-  return config, motions, codebook
+  return config, mode_set
 
 
 class _Opened(NamedTuple):

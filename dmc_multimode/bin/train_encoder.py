@@ -40,7 +40,7 @@ def main(argv: Sequence[str]) -> None:
   """Checks the input, trains, then writes; `argv` holds no flags."""
   del argv
   motions = _motions(_MODES.value, _MODE_FILE.value)
-  reference.ReferenceBank(motions)  # Refuses duplicates before a bar shows.
+  reference.check_names(motions)  # Refuses duplicates before a bar shows.
   config = encoder_training.EncoderConfig(
     use_contacts=encoder_training.needs_contacts(motions), seed=_SEED.value
   )

@@ -98,13 +98,14 @@ def _of_gaits(motion: reference.ReferenceMotion) -> tuple[Promise, ...]:
   """Promises of a periodic mode that keeps to the ground."""
   result = []
   moved = motion.positions[-1] - motion.positions[0]
+  yaw = reference.yaw(motion.orientations)
   speed = float(np.linalg.norm(moved[:2])) / motion.duration
-  if speed and not np.ptp(reference.yaw(motion.orientations)):
+  if speed and not np.ptp(yaw):
     heading = moved[:2] / np.linalg.norm(moved[:2])
     along = lambda trace: float(trace.velocity(trace.position)[:2] @ heading)
     slack = _SPEED * speed
     result.append(Promise('speed', speed - slack, speed + slack, along))
-  rate = float(reference.ReferenceBank([motion]).turns[0]) / motion.duration
+  rate = float(yaw[-1] - yaw[0]) / motion.duration
   if rate:
     slack = _SPEED * abs(rate)
     result.append(

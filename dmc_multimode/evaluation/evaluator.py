@@ -13,8 +13,7 @@ from dmc_multimode.agents import distributed
 from dmc_multimode.evaluation import acceptance
 from dmc_multimode.evaluation import episodes as evaluation_episodes
 from dmc_multimode.evaluation import gait_metrics
-from dmc_multimode.modes import codebook as codebook_lib
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
@@ -29,12 +28,8 @@ class Policy(Protocol):
   """What is evaluated: what `pretrained.Policy` has, and others may have."""
 
   @property
-  def motions(self) -> tuple[reference.ReferenceMotion, ...]:
+  def mode_set(self) -> mode_set_lib.ModeSet:
     """The modes that it knows."""
-
-  @property
-  def codebook(self) -> codebook_lib.Codebook:
-    """Their latents."""
 
   def select_action(self, observation: np.ndarray) -> np.ndarray:
     """Joint targets [B, 10] for observations [B, D], without exploration."""
@@ -59,7 +54,7 @@ class Evaluator:
     self.policy, self.config, self.seed = policy, config, seed
     self._quiet = quiet or communicator.rank > 0
     self._communicator = communicator
-    self.bank = reference.ReferenceBank(policy.motions)
+    self.mode_set = policy.mode_set
 
   def changed(self, **fields: Any) -> 'Evaluator':
     """Returns one whose task has other values in these fields."""
@@ -80,8 +75,7 @@ class Evaluator:
   ) -> agents_core.MeasuredEnvironment:
     """Returns a world for each row of `schedule`, none of which begins anew."""
     task = multimode_biped.make_task(
-      self.policy.motions,
-      self.policy.codebook,
+      self.policy.mode_set,
       episodes_lib.ScheduledEpisodes(schedule),
       config=self.config,
     )
@@ -123,7 +117,7 @@ def evaluate_modes(
   evaluator: Evaluator, episodes: int, clock_rate: float
 ) -> dict[str, dict[str, float]]:
   """Every mode alone: its MRA, survival and what the body did."""
-  bank = evaluator.bank
+  bank = evaluator.mode_set.bank
   modes = np.repeat(np.arange(len(bank)), episodes)
   found = evaluator.run(schedule_lib.single(modes, clock_rate), 'modes')
   result = {}
@@ -151,7 +145,7 @@ def evaluate_clock_rates(
     By rate and mode: velocity along the mode's way and that of its reference,
     m/s, and survival. Empty where no mode travels.
   """
-  bank = evaluator.bank
+  bank = evaluator.mode_set.bank
   limits = terminations.falls_alone(evaluator.config.limits)
   free = evaluator.changed(limits=limits)
   lengths = np.linalg.norm(bank.displacements[:, :2], axis=1)
@@ -180,7 +174,7 @@ def evaluate_behaviour(
   evaluator: Evaluator, episodes: int
 ) -> dict[str, dict[str, dict[str, Any]]]:
   """Judges every mode by its acceptance criteria: see `acceptance`."""
-  bank = evaluator.bank
+  bank = evaluator.mode_set.bank
   longer = evaluator.changed(time_limit=acceptance.DURATION)
   modes = np.repeat(np.arange(len(bank)), episodes)
   found = longer.run(schedule_lib.single(modes), 'behaviour')
@@ -205,8 +199,8 @@ def evaluate_transitions(
   evaluator: Evaluator, episodes: int
 ) -> dict[str, dict[str, float]]:
   """All n x n transitions, at every switch phase and clip of Algorithm 1."""
-  bank = evaluator.bank
-  n = len(bank)
+  mode_set = evaluator.mode_set
+  n = len(mode_set)
   cases = np.array(
     list(
       itertools.product(
@@ -221,7 +215,7 @@ def evaluate_transitions(
   initial, final = cases[:, 0].astype(int), cases[:, 1].astype(int)
   found = evaluator.run(
     schedule_lib.transitions(
-      bank,
+      mode_set,
       initial,
       final,
       cases[:, 2],
@@ -233,7 +227,7 @@ def evaluate_transitions(
   result = {}
   for i, f in itertools.product(range(n), range(n)):
     mine = found.rows(np.flatnonzero((initial == i) & (final == f)))
-    result[f'{bank.names[i]}->{bank.names[f]}'] = {
+    result[f'{mode_set.names[i]}->{mode_set.names[f]}'] = {
       'mra': float(mine.returns.mean()),
       'survival': float(mine.survived.mean()),
     }

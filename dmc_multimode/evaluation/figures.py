@@ -8,6 +8,7 @@ from matplotlib.backends import backend_agg
 import matplotlib.figure
 import numpy as np
 
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import reference
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.utils import files
@@ -151,26 +152,26 @@ def _panels(
 
 
 def sequence(
-  bank: reference.ReferenceBank,
+  mode_set: mode_set_lib.ModeSet,
 ) -> tuple[schedule_lib.ModeSchedule, float]:
   """Returns a schedule through the paper's transitions, and its seconds.
 
   Of a policy without at least two of their modes, through all that it has.
   """
-  names = [name for name in _ORDER if name in bank.names]
+  names = [name for name in _ORDER if name in mode_set.names]
   if len(names) < 2:
-    names = list(bank.names)
-  motions = [bank.motions[bank.index(name)] for name in names]
+    names = list(mode_set.names)
+  motions = mode_set.subset(names).motions
   durations = [
     motion.duration if motion.kind == reference.TRANSIENT else _SECONDS
     for motion in motions
   ]
-  schedule = schedule_lib.from_names(bank, names, durations)
+  schedule = schedule_lib.from_names(mode_set, names, durations)
   return schedule, sum(durations)
 
 
 def transitions(
-  bank: reference.ReferenceBank,
+  mode_set: mode_set_lib.ModeSet,
   schedule: schedule_lib.ModeSchedule,
   measured: Mapping[str, np.ndarray],
   length: int,
@@ -179,7 +180,7 @@ def transitions(
   """Draws one world's height through a schedule, with the ground and commands.
 
   Args:
-    bank: the modes.
+    mode_set: the modes.
     schedule: of one world.
     measured: what `BatchedImitation.measure` returned, [T, 1, ...].
     length: control steps of the episode.
@@ -194,7 +195,7 @@ def transitions(
   for mode, start in zip(schedule.modes[0], schedule.starts[0], strict=True):
     axis.axvline(start, color='0.5', linewidth=0.8)
     axis.annotate(
-      bank.names[mode],
+      mode_set.names[mode],
       (start, 1.0),
       (2, 4),
       xycoords=('data', 'axes fraction'),

@@ -38,19 +38,21 @@ def draw(
   Returns:
     Figures by the names of their files.
   """
-  bank, timestep = evaluator.bank, evaluator.config.control_timestep
-  alone = evaluator.run(schedule_lib.single(np.arange(len(bank))), 'heights')
-  schedule, seconds = figures.sequence(bank)
+  mode_set, timestep = evaluator.mode_set, evaluator.config.control_timestep
+  alone = evaluator.run(
+    schedule_lib.single(np.arange(len(mode_set))), 'heights'
+  )
+  schedule, seconds = figures.sequence(mode_set)
   found = evaluator.changed(time_limit=seconds).run(schedule, 'sequence')
   drawn = {
     figures.HEIGHTS_FILE: figures.heights(
-      bank.names, alone.traces, alone.lengths, timestep
+      mode_set.names, alone.traces, alone.lengths, timestep
     ),
     figures.SEQUENCE_FILE: figures.transitions(
-      bank, schedule, found.traces, found.lengths[0], timestep
+      mode_set, schedule, found.traces, found.lengths[0], timestep
     ),
     figures.CONTACTS_FILE: figures.contacts(
-      bank.names, alone.traces, alone.lengths, timestep
+      mode_set.names, alone.traces, alone.lengths, timestep
     ),
   }
   if values.get('clock_rates'):
@@ -78,7 +80,7 @@ def film(
   videos = {}
   with tempfile.TemporaryDirectory() as folder:
     path = pathlib.Path(folder) / f'mode{video.SUFFIX}'
-    for motion in tqdm.tqdm(policy.motions, 'videos', unit='video'):
+    for motion in tqdm.tqdm(policy.mode_set.motions, 'videos', unit='video'):
       seconds = max(_SECONDS, motion.duration / clock_rate + _AFTER)
       what = rollout.RolloutConfig(
         (motion.name,),

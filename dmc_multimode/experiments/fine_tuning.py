@@ -13,9 +13,9 @@ import numpy as np
 
 from dmc_multimode import pretrained
 from dmc_multimode.experiments import setup
-from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import reference
 from dmc_multimode.modes.encoder import extension
 from dmc_multimode.modes.encoder import training as encoder_training
@@ -89,7 +89,7 @@ class Start:
     return setup.RunConfig(
       modes=','.join(motion.name for motion in motions),
       init_from=self.name,
-      init_modes=','.join(policy.codebook.names),
+      init_modes=','.join(policy.mode_set.names),
       ppo=ppo,
       sampling=sampling,
       task=settled(policy.config),
@@ -97,7 +97,7 @@ class Start:
 
   def new(self, motions: Motions) -> Motions:
     """Returns those of the modes that the policy does not know."""
-    known = set(self.policy.codebook.names)
+    known = set(self.policy.mode_set.names)
     return tuple(motion for motion in motions if motion.name not in known)
 
   def modes(self, spec: str | None, extra: Motions = ()) -> Motions:
@@ -111,7 +111,7 @@ class Start:
     Raises:
       ValueError: a name is unknown, or is of another motion to the policy.
     """
-    known = {motion.name: motion for motion in self.policy.motions}
+    known = {motion.name: motion for motion in self.policy.mode_set.motions}
     for motion in extra:
       mine = known.get(motion.name)
       if mine and mode_files.motion_to_dict(mine) != mode_files.motion_to_dict(
@@ -144,7 +144,7 @@ class Start:
         )
     if config.one_hot:
       raise ValueError(f'--one_hot: {self.name} knows modes by their latents.')
-    more = privileged.size(self.policy.codebook.latent_dim)
+    more = privileged.size(self.policy.mode_set.latent_dim)
     if network.privileged_size not in (0, more):
       raise ValueError(
         f'The value function of {self.name} sees {network.privileged_size} '
@@ -153,20 +153,17 @@ class Start:
 
   def encode(
     self, motions: Motions
-  ) -> tuple[encoder_training.ModeEncoder, codebook_lib.Codebook]:
-    """Returns an encoder of the policy's modes and `motions`, and latents.
+  ) -> tuple[encoder_training.ModeEncoder, mode_set_lib.ModeSet]:
+    """Returns an encoder of the policy's modes too, and the modes' latents.
 
     Raises:
       ValueError: the encoder is of another policy, or cannot tell the modes
         apart.
     """
-    encoder, codebook = extension.extend(
-      self.encoder,
-      self.policy.motions,
-      self.policy.codebook,
-      self.new(motions),
+    encoder, mode_set = extension.extend(
+      self.encoder, self.policy.mode_set, self.new(motions)
     )
-    return encoder, codebook.subset([motion.name for motion in motions])
+    return encoder, mode_set.subset([motion.name for motion in motions])
 
 
 def load(name: str, encoder: str | None = None) -> Start:
@@ -183,7 +180,7 @@ def load(name: str, encoder: str | None = None) -> Start:
       policy has no latents.
   """
   policy = pretrained.load(name)
-  if np.array_equal(policy.codebook.latents, np.eye(len(policy.codebook))):
+  if np.array_equal(policy.mode_set.latents, np.eye(len(policy.mode_set))):
     raise ValueError(
       f'{name} knows its modes by one-hot commands, which leave no room for '
       'another: begin with a policy that has latents.'

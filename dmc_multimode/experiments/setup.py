@@ -17,9 +17,8 @@ from dmc_multimode.agents.ppo import learning
 from dmc_multimode.agents.ppo import networks
 from dmc_multimode.agents.ppo import symmetry
 from dmc_multimode.arenas import track
-from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import files as mode_files
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
@@ -85,9 +84,7 @@ class RunConfig:
       raise ValueError(f'seed must be in [0, 2^32), got {self.seed}.')
 
 
-Ingredients = tuple[
-  RunConfig, tuple[reference.ReferenceMotion, ...], codebook_lib.Codebook
-]
+Ingredients = tuple[RunConfig, mode_set_lib.ModeSet]
 
 
 def to_dict(config: RunConfig) -> dict[str, Any]:
@@ -135,24 +132,21 @@ def check_ranks(config: RunConfig, ranks: int) -> None:
 def save_run(
   directory: pathlib.Path,
   config: RunConfig,
-  motions: tuple[reference.ReferenceMotion, ...],
-  codebook: codebook_lib.Codebook,
+  mode_set: mode_set_lib.ModeSet,
 ) -> None:
   """Writes what a run needs to be resumed, besides its checkpoint."""
-  text = describe(config, motions, codebook)
+  text = describe(config, mode_set)
   files.write(directory / CONFIG_FILE, text.encode())
 
 
 def describe(
   config: RunConfig,
-  motions: tuple[reference.ReferenceMotion, ...],
-  codebook: codebook_lib.Codebook,
+  mode_set: mode_set_lib.ModeSet,
 ) -> str:
   """Returns JSON from which `parse` makes the same again."""
   description = {
     'run': to_dict(config),
-    'modes': [mode_files.motion_to_dict(motion) for motion in motions],
-    'latents': codebook.latents.tolist(),
+    **mode_files.mode_set_to_dict(mode_set),
   }
   return json.dumps(description, indent=1)
 
@@ -161,12 +155,8 @@ def parse(text: str) -> Ingredients:
   """Returns what `describe` was given; raises ValueError for anything else."""
   try:
     description = json.loads(text)
-    motions = tuple(
-      mode_files.motion_from_dict(m) for m in description['modes']
-    )
-    names = tuple(motion.name for motion in motions)
-    codebook = codebook_lib.Codebook(names, description['latents'])
-    return from_dict(description['run']), motions, codebook
+    mode_set = mode_files.mode_set_from_dict(description)
+    return from_dict(description['run']), mode_set
   except KeyError as error:
     raise ValueError(f'it lacks {error}') from error
   except (TypeError, OverflowError, RecursionError) as error:
@@ -235,8 +225,7 @@ class Run:
     return policy_lib.Policy(
       self.network,
       self.config.ppo.hidden_sizes,
-      self.environment.motions,
-      self.environment.codebook,
+      self.environment.mode_set,
       self.config.task,
       provenance,
     )
@@ -244,8 +233,7 @@ class Run:
 
 def build(
   config: RunConfig,
-  motions: tuple[reference.ReferenceMotion, ...],
-  codebook: codebook_lib.Codebook,
+  mode_set: mode_set_lib.ModeSet,
   communicator: distributed.Communicator = distributed.LOCAL,
   device: torch.device | str = 'cpu',
   initial: policy_lib.Policy | None = None,
@@ -254,8 +242,7 @@ def build(
 
   Args:
     config: of the run, which `check_ranks` has seen.
-    motions: its modes.
-    codebook: their latents.
+    mode_set: its modes.
     communicator: of the ranks, each of which builds its own part.
     device: on which the network is, and learns.
     initial: whose weights the network begins with, if any; only rank 0's
@@ -265,7 +252,7 @@ def build(
   threads = max(config.threads // 2, 1)
   torch.set_num_threads(threads)
   threadpoolctl.threadpool_limits(threads, user_api='blas')  # Of numpy.
-  environment = _make_environment(config, motions, codebook, communicator)
+  environment = _make_environment(config, mode_set, communicator)
   builder = builder_lib.PPOBuilder(
     config.ppo,
     config.seed,
@@ -286,7 +273,7 @@ def build(
     builder.make_actor(network),
     _make_learner(config, environment, builder, network, device),
     config.ppo.rollout_length,
-    codebook.names,
+    mode_set.names,
     lambda: {
       **environment.episodes.probabilities(),
       'assistance': environment.assistance.share,
@@ -298,17 +285,14 @@ def build(
 
 def _make_environment(
   config: RunConfig,
-  motions: tuple[reference.ReferenceMotion, ...],
-  codebook: codebook_lib.Codebook,
+  mode_set: mode_set_lib.ModeSet,
   communicator: distributed.Communicator,
 ) -> batched_env.BatchedImitation:
   """Returns this rank's worlds, in which Algorithm 1 chooses the episodes."""
-  bank = reference.ReferenceBank(motions)
   task = multimode_biped.make_task(
-    motions,
-    codebook,
+    mode_set,
     episodes.TransitionEpisodes(
-      bank, config.sampling, config.task.commands_from_ground
+      mode_set, config.sampling, config.task.commands_from_ground
     ),
     track.make(
       'flat', _OBSTACLE_SEGMENTS if config.task.obstacles else _FLAT_SEGMENTS
@@ -333,7 +317,7 @@ def _make_learner(
   device: torch.device | str,
 ) -> learning.PPOLearner:
   """Returns what learns from the environment's worlds."""
-  names, latents = environment.codebook.names, environment.codebook.latents
+  names, latents = environment.mode_set.names, environment.mode_set.latents
   commands = symmetry.Commands(latents, device=device)
   mirror, anchor = None, None
   if config.ppo.symmetry != 'none':

@@ -7,7 +7,6 @@ from typing import Sequence
 
 import numpy as np
 
-from dmc_multimode.modes import reference
 from dmc_multimode.utils import files
 
 FILE = 'codebook.json'
@@ -92,12 +91,6 @@ class Codebook:
     if not between.size:
       return 1.0
     return float(between.min() / max(between.mean(), 1e-12))
-
-
-def one_hot(motions: Sequence[reference.ReferenceMotion]) -> Codebook:
-  """Returns the baseline without an encoder: n_m = M, one unit a mode."""
-  names = tuple(motion.name for motion in motions)
-  return Codebook(names, np.eye(len(names), dtype=np.float32))
 
 
 def load(path: pathlib.Path) -> Codebook:

@@ -27,7 +27,9 @@ from typing import Any, Mapping, NoReturn
 
 import yaml
 
+from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import fields
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import reference
 from dmc_multimode.utils import files
 
@@ -80,6 +82,27 @@ def motion_from_dict(data: Mapping[str, Any]) -> reference.ReferenceMotion:
     return fields.motion(data, ())
   except fields.FieldError as error:
     raise ModeFileError(f'{error.spell()}: {error}') from None
+
+
+def mode_set_to_dict(mode_set: mode_set_lib.ModeSet) -> dict[str, Any]:
+  """Returns a mode set as plain data: its modes, and their latents."""
+  return {
+    'modes': [motion_to_dict(motion) for motion in mode_set.motions],
+    'latents': mode_set.latents.tolist(),
+  }
+
+
+def mode_set_from_dict(data: Mapping[str, Any]) -> mode_set_lib.ModeSet:
+  """Returns the mode set that `mode_set_to_dict` wrote, exactly.
+
+  Raises:
+    KeyError: the modes or their latents are missing.
+    TypeError, ValueError, OverflowError: they are wrong.
+  """
+  motions = tuple(motion_from_dict(motion) for motion in data['modes'])
+  names = tuple(motion.name for motion in motions)
+  codebook = codebook_lib.Codebook(names, data['latents'])
+  return mode_set_lib.ModeSet(motions, codebook)
 
 
 # Text to plain data, with the line of every value.

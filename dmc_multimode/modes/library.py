@@ -5,7 +5,10 @@ from typing import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from dmc_multimode.modes import codebook as codebook_lib
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import reference
+from dmc_multimode.utils import resources
 
 STAND_HEIGHT = 0.5  # Nominal height of the trunk over its support, metres.
 
@@ -241,3 +244,29 @@ def resolve(
       f'sets are {", ".join(SETS)}.'
     )
   return tuple(known[name] for name in names)
+
+
+@functools.cache
+def codebook() -> codebook_lib.Codebook:
+  """Returns the shipped latents of all modes of the library."""
+  return codebook_lib.load(
+    resources.path('pretrained', 'library') / codebook_lib.FILE
+  )
+
+
+def mode_set(
+  spec: str | Sequence[str],
+  extra: Iterable[reference.ReferenceMotion] = (),
+) -> mode_set_lib.ModeSet:
+  """Returns the modes that `spec` names, with the shipped latents.
+
+  Args:
+    spec: as `resolve` takes it.
+    extra: as `resolve` takes it.
+
+  Raises:
+    ValueError: a name is unknown, or is of a mode without shipped latents.
+  """
+  motions = resolve(spec, extra)
+  names = [motion.name for motion in motions]
+  return mode_set_lib.ModeSet(motions, codebook().subset(names))

@@ -128,6 +128,15 @@ class ReferenceMotion:
     return bank.sample(np.zeros(len(phases), dtype=np.int64), phases)
 
 
+def check_names(motions: Sequence[ReferenceMotion]) -> None:
+  """Raises ValueError for no motions, or two of the same name."""
+  if not motions:
+    raise ValueError('A mode set needs at least one mode.')
+  names = [motion.name for motion in motions]
+  if len(set(names)) != len(names):
+    raise ValueError(f'Mode names must be unique, got {names}.')
+
+
 class Reference(NamedTuple):
   """Desired base pose and contacts; all arrays have a leading batch axis.
 
@@ -149,13 +158,9 @@ class ReferenceBank:
 
   def __init__(self, motions: Sequence[ReferenceMotion]) -> None:
     """Stacks `motions`; their order gives the mode indices."""
-    if not motions:
-      raise ValueError('A mode set needs at least one mode.')
-    names = [m.name for m in motions]
-    if len(set(names)) != len(names):
-      raise ValueError(f'Mode names must be unique, got {names}.')
+    check_names(motions)
     self.motions = tuple(motions)
-    self.names = tuple(names)
+    self.names = tuple(motion.name for motion in motions)
     self.durations = np.array([m.duration for m in motions])
     self.periodic = np.array([m.kind == PERIODIC for m in motions])
     self.transient = np.array([m.kind == TRANSIENT for m in motions])

@@ -10,7 +10,7 @@ from typing import Sequence
 
 import numpy as np
 
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import mode_set as mode_set_lib
 
 CLIPS = (0, 1)  # Algorithm 1: clip_s ~ U{0, 1}.
 SWITCH_PHASES = (0.25, 0.5, 0.75)  # Algorithm 1: phi_s ~ U{.25, .5, .75}.
@@ -66,7 +66,7 @@ def single(modes: np.ndarray, clock_rate: float = 1.0) -> ModeSchedule:
 
 
 def transitions(
-  bank: reference.ReferenceBank,
+  mode_set: mode_set_lib.ModeSet,
   initial: np.ndarray,
   final: np.ndarray,
   clips: np.ndarray,
@@ -83,12 +83,13 @@ def transitions(
   back in mid-crouch, nor at the moment of a landing.
 
   Args:
-    bank: the mode set.
+    mode_set: the modes.
     initial, final: mode indices, [B].
     clips, phases: clip_s and phi_s, [B].
     commands_from_ground: without, commands come in flight, too, and a mode with
       a take-off is left from its touch-down on.
   """
+  bank = mode_set.bank
   cycles, earliest = clips + phases, bank.touchdowns[initial]
   if commands_from_ground:
     then = np.where(bank.transient[initial], np.minimum(cycles, 1.0), phases)
@@ -113,7 +114,7 @@ def from_knots(
 
 
 def from_names(
-  bank: reference.ReferenceBank,
+  mode_set: mode_set_lib.ModeSet,
   names: Sequence[str],
   durations: Sequence[float],
   clock_rate: float = 1.0,
@@ -124,7 +125,7 @@ def from_names(
   for name, duration in zip(names, durations, strict=True):
     if not (np.isfinite(duration) and duration > 0):
       raise ValueError(f'{name} needs a positive duration, got {duration}.')
-  modes = np.array([[bank.index(name) for name in names]])
+  modes = np.array([[mode_set.index(name) for name in names]])
   starts = np.concatenate([[0.0], np.cumsum(durations)[:-1]])[None]
   return ModeSchedule(modes, starts, np.array([float(clock_rate)]))
 

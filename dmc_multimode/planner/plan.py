@@ -8,7 +8,7 @@ from typing import Any, Mapping, NamedTuple, Sequence
 
 import numpy as np
 
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.utils import files
@@ -50,25 +50,25 @@ class ModePlan:
     """Seconds from the first knot to the end."""
     return len(self.modes) * self.knot_duration
 
-  def indices(self, bank: reference.ReferenceBank) -> np.ndarray:
+  def indices(self, mode_set: mode_set_lib.ModeSet) -> np.ndarray:
     """Returns the plan in the indices of a mode set, [K].
 
     Raises:
       ValueError: the set lacks a mode; the message lists those that it has.
     """
-    missing = [name for name in self.modes if name not in bank.names]
+    missing = [name for name in self.modes if name not in mode_set.names]
     if missing:
       raise ValueError(
         f'The plan commands {missing[0]!r}, which the policy does not know; '
-        f'it knows {", ".join(bank.names)}.'
+        f'it knows {", ".join(mode_set.names)}.'
       )
-    return np.array([bank.index(name) for name in self.modes])
+    return np.array([mode_set.index(name) for name in self.modes])
 
   def schedule(
-    self, bank: reference.ReferenceBank
+    self, mode_set: mode_set_lib.ModeSet
   ) -> schedule_lib.ModeSchedule:
     """Returns the plan as the schedule of one world."""
-    return schedule_lib.from_knots(self.indices(bank), self.knot_duration)
+    return schedule_lib.from_knots(self.indices(mode_set), self.knot_duration)
 
   def segments(self) -> tuple[list[str], list[float]]:
     """Returns the modes without repetitions and for how long each runs, s."""

@@ -12,7 +12,6 @@ import numpy as np
 
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track as track_lib
-from dmc_multimode.modes import reference
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.suite import multimode_biped
@@ -115,12 +114,11 @@ class ReachingProblem:
         over the track, or a push is not at a knot.
     """
     self.policy, self.config = policy, config
-    self.bank = reference.ReferenceBank(policy.motions)
-    self.num_worlds, self.num_modes = num_worlds, len(self.bank)
+    self.mode_set = policy.mode_set
+    self.num_worlds, self.num_modes = num_worlds, len(self.mode_set)
     self._worlds = batched_env.BatchedImitation(
       multimode_biped.make_task(
-        policy.motions,
-        policy.codebook,
+        policy.mode_set,
         episodes.ScheduledEpisodes(schedule_lib.single(np.zeros(1))),
         arena,
         reaching.task_config(policy, config),

@@ -48,14 +48,14 @@ def solve(
   while robot.remaining:
     if plan is None or robot.alive[0]:  # Who has fallen goes nowhere.
       plannings.append(solver.solve(report, robot, plan))
-      plan = plannings[-1].plan.indices(robot.bank)
+      plan = plannings[-1].plan.indices(robot.mode_set)
     now, plan = plan[:every], plan[every:]
     knots += [robot.run_knot(mode[None]) for mode in now]
     executed += now.tolist()
   trial = problem_lib.trials(knots)
   return planning.Found(
     plan_lib.from_indices(
-      executed, robot.bank.names, robot.config.knot_duration
+      executed, robot.mode_set.names, robot.config.knot_duration
     ),
     bool(trial.success[0]),
     float(trial.returns[0]),

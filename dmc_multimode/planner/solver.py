@@ -159,7 +159,7 @@ class Solver:
       rollouts += solution.episodes
       tried += self._try_some(solution)
     indices, trial = max(tried, key=_Tried.worth)
-    names, duration = self._alone.bank.names, self._config.knot_duration
+    names, duration = self._alone.mode_set.names, self._config.knot_duration
     return Found(
       plan_lib.from_indices(indices, names, duration),
       bool(trial.success[0]),
@@ -177,7 +177,7 @@ class Solver:
         self._policy,
         self._make_arena(),
         self._config,
-        num_worlds(planner, len(self._policy.motions)),
+        num_worlds(planner, len(self._policy.mode_set)),
         self._num_threads,
       )
     return self._problems[planner]
@@ -241,4 +241,4 @@ def replay(
   ):
     raise ValueError('The plan has other knots than the problem.')
   robot = problem_lib.ReachingProblem(policy, arena, config, 1, 1, pushes)
-  return robot.rollout(plan.indices(robot.bank)[None])
+  return robot.rollout(plan.indices(robot.mode_set)[None])

@@ -22,9 +22,8 @@ import torch
 from dmc_multimode.agents import checkpointing
 from dmc_multimode.agents.ppo import acting
 from dmc_multimode.agents.ppo import networks
-from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import files as mode_files
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.utils import files
@@ -47,8 +46,7 @@ class Policy:
   Attributes:
     network: policy, value function and normaliser.
     hidden_sizes: of the network.
-    motions: the modes that it was trained on, in the order of their indices.
-    codebook: their latents.
+    mode_set: the modes that it was trained on.
     config: the task that it was trained for.
     provenance: steps, seed, versions and whatever else tells how it was made.
     metrics: what `evaluate` wrote, or empty.
@@ -56,8 +54,7 @@ class Policy:
 
   network: networks.ActorCritic
   hidden_sizes: tuple[int, ...]
-  motions: tuple[reference.ReferenceMotion, ...]
-  codebook: codebook_lib.Codebook
+  mode_set: mode_set_lib.ModeSet
   config: task_config.ImitationConfig
   provenance: Mapping[str, Any]
   metrics: Mapping[str, Any] = dataclasses.field(default_factory=dict)
@@ -80,8 +77,7 @@ class Policy:
       'hidden_sizes': list(self.hidden_sizes),
       'activation': self.network.activation,
       'privileged_size': self.network.privileged_size,
-      'modes': [mode_files.motion_to_dict(motion) for motion in self.motions],
-      'latents': self.codebook.latents.tolist(),
+      **mode_files.mode_set_to_dict(self.mode_set),
       'task': task_config.to_dict(self.config),
       'provenance': {
         'mujoco': mujoco.__version__,
@@ -165,12 +161,8 @@ def _untrained(description: dict[str, Any]) -> Policy:
     or not all(0 < h <= _MAX_UNITS for h in hidden)
   ):
     raise ValueError(f'hidden sizes {hidden} are out of bounds.')
-  motions = tuple(mode_files.motion_from_dict(m) for m in description['modes'])
-  codebook = codebook_lib.Codebook(
-    tuple(motion.name for motion in motions),
-    np.array(description['latents'], dtype=np.float32),
-  )
-  size = 2 + codebook.latent_dim + observations.STATE_SIZE
+  mode_set = mode_files.mode_set_from_dict(description)
+  size = 2 + mode_set.latent_dim + observations.STATE_SIZE
   activation = description.get('activation', 'elu')  # As it once was.
   if activation not in networks.ACTIVATIONS:
     raise ValueError(f'activation {activation!r} is unknown.')
@@ -188,8 +180,7 @@ def _untrained(description: dict[str, Any]) -> Policy:
   return Policy(
     network,
     hidden,
-    motions,
-    codebook,
+    mode_set,
     task_config.from_dict(description['task']),
     dict(description.get('provenance', {})),
   )

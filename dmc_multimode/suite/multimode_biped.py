@@ -7,7 +7,6 @@ and `environment_kwargs` for the `composer.Environment`; some take more.
 """
 
 import dataclasses
-import functools
 import os
 from typing import Any, Callable, Mapping, Sequence
 
@@ -18,9 +17,8 @@ import numpy as np
 
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track
-from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import library
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import composer_task
 from dmc_multimode.suite.imitation import config as task_config
@@ -28,7 +26,6 @@ from dmc_multimode.suite.imitation import episodes as episodes_lib
 from dmc_multimode.suite.imitation import rewards
 from dmc_multimode.suite.reaching import environment as reaching_env
 from dmc_multimode.suite.reaching import problem as reaching
-from dmc_multimode.utils import resources
 from dmc_multimode.walkers import mini_biped
 
 SUITE = containers.TaggedTasks()
@@ -42,17 +39,8 @@ REWARD_GAINS: Mapping[str, rewards.RewardGains] = {
 }
 
 
-@functools.cache
-def library_codebook() -> codebook_lib.Codebook:
-  """Returns the shipped latents of all modes of the library."""
-  return codebook_lib.load(
-    resources.path('pretrained', 'library') / codebook_lib.FILE
-  )
-
-
 def make_task(
-  motions: Sequence[reference.ReferenceMotion],
-  codebook: codebook_lib.Codebook | None = None,
+  mode_set: mode_set_lib.ModeSet,
   episodes: episodes_lib.EpisodeInitialiser | None = None,
   arena: str | track.Track = 'flat',
   config: task_config.ImitationConfig | None = None,
@@ -60,29 +48,26 @@ def make_task(
   """Builds an imitation task: the one place where its parts meet.
 
   Args:
-    motions: the mode set.
-    codebook: latents of these modes; the shipped ones by default.
+    mode_set: the modes; `library.mode_set` has the library's.
     episodes: the episodes; Algorithm 1 by default.
     arena: a track or the name of one.
     config: of the task.
 
   Raises:
-    ValueError: unknown arena, or modes that the codebook does not encode.
+    ValueError: the arena is unknown.
   """
-  names = tuple(motion.name for motion in motions)
   if isinstance(arena, str):
     arena = track.make(arena)
   config = config or task_config.ImitationConfig()
   if episodes is None:
     episodes = episodes_lib.TransitionEpisodes(
-      reference.ReferenceBank(motions),
+      mode_set,
       commands_from_ground=config.commands_from_ground,
     )
   return composer_task.Imitation(
     mini_biped.MiniBiped(),
     arena,
-    tuple(motions),
-    (codebook or library_codebook()).subset(names),
+    mode_set,
     episodes,
     config,
   )
@@ -124,7 +109,7 @@ def multimode(
   )
   if time_limit is not None:
     config = dataclasses.replace(config, time_limit=time_limit)
-  task = make_task(library.resolve(modes), config=config)
+  task = make_task(library.mode_set(modes), config=config)
   return make_environment(task, random, environment_kwargs)
 
 
@@ -138,7 +123,7 @@ def single_mode(
   config = task_config.ImitationConfig()
   if time_limit is not None:
     config = dataclasses.replace(config, time_limit=time_limit)
-  task = make_task(library.resolve([mode]), episodes=_first(), config=config)
+  task = make_task(library.mode_set([mode]), _first(), config=config)
   return make_environment(task, random, environment_kwargs)
 
 
@@ -181,8 +166,7 @@ def reach(
 
   first = problem(arena.generate(np.random.RandomState(0)))
   task = make_task(
-    policy.motions,
-    policy.codebook,
+    policy.mode_set,
     _first(),
     arena,
     reaching.task_config(policy, first),

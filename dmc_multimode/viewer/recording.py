@@ -127,7 +127,7 @@ class Captions:
   def __init__(self, rollout: rollout_lib.Rollout):
     """Captions the steps of `rollout`, in their order."""
     self._rollout = rollout
-    self._names = [motion.name for motion in rollout.task.motions]
+    self._names = rollout.task.mode_set.names
     self._timeline = overlay.Timeline(
       rollout.schedule.modes[0].tolist(), rollout.ends.tolist()
     )

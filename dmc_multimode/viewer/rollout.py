@@ -7,7 +7,6 @@ import numpy as np
 
 from dmc_multimode import pretrained
 from dmc_multimode.arenas import track
-from dmc_multimode.modes import reference
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.suite import multimode_biped
@@ -85,9 +84,8 @@ class Rollout:
       ValueError: the schedule, the arena, a number, or a mode that the policy
         does not know.
     """
-    bank = reference.ReferenceBank(policy.motions)
     self.schedule = schedule_lib.from_names(
-      bank, config.modes, config.durations, config.clock_rate
+      policy.mode_set, config.modes, config.durations, config.clock_rate
     )
     if config.seed < 0:
       raise ValueError(f'seed must not be negative, got {config.seed}.')
@@ -96,8 +94,7 @@ class Rollout:
       raise ValueError('The schedule is shorter than one control step.')
     self._config = config
     self.task = multimode_biped.make_task(
-      policy.motions,
-      codebook=policy.codebook,
+      policy.mode_set,
       episodes=episodes.ScheduledEpisodes(self.schedule),
       arena=_make_arena(config),
       config=task_config,

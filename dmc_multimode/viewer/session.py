@@ -11,7 +11,6 @@ import numpy as np
 
 from dmc_multimode import pretrained
 from dmc_multimode.arenas import track
-from dmc_multimode.modes import reference
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import plan as plan_lib
@@ -85,7 +84,7 @@ class LiveSession:
       ValueError: the track is unknown, or the seed is negative.
     """
     self._policy, self._planner = policy, planner or beam_search.BeamConfig()
-    self._bank, self._threads = reference.ReferenceBank(policy.motions), threads
+    self._mode_set, self._threads = policy.mode_set, threads
     self._search: live_search.Search | None = None
     self.clock_rate = 1.0
     self.set_arena(arena, seed)
@@ -93,7 +92,7 @@ class LiveSession:
   @property
   def modes(self) -> tuple[str, ...]:
     """Names of the modes that the policy knows."""
-    return self._bank.names
+    return self._mode_set.names
 
   def set_arena(self, name: str, seed: int = 0) -> None:
     """Puts the robot at the start of another track, which forgets the plan.
@@ -104,8 +103,7 @@ class LiveSession:
     if seed < 0:
       raise ValueError(f'seed must not be negative, got {seed}.')
     task = multimode_biped.make_task(
-      self._policy.motions,
-      self._policy.codebook,
+      self._mode_set,
       # As a search begins, so that its plans lead to the same places.
       episodes.ScheduledEpisodes(schedule_lib.single(np.zeros(1))),
       track.make(name, _SEGMENTS),
@@ -141,7 +139,7 @@ class LiveSession:
       ValueError: the policy does not know it, or it calls for a step and the
         track has no place left for one.
     """
-    index = self._bank.index(mode)
+    index = self._mode_set.index(mode)
     self._replayed, self.notice = None, ''
     self.robot.command(index)
 
@@ -264,4 +262,4 @@ class LiveSession:
       self._replayed, self.notice = None, 'The plan is done.'
       self.robot.command(0)
     elif not rest:
-      self.robot.command(self._bank.index(self._replayed.modes[knot]))
+      self.robot.command(self._mode_set.index(self._replayed.modes[knot]))

@@ -17,8 +17,8 @@ from dmc_multimode.agents import runner
 from dmc_multimode.agents.ppo import builder
 from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.experiments import setup
-from dmc_multimode.modes import codebook
 from dmc_multimode.modes import library
+from dmc_multimode.modes import mode_set
 from dmc_multimode.suite.imitation import config as task_config
 from tests.agents import toy
 
@@ -61,7 +61,7 @@ class Recorder:
 
 def _biped() -> setup.Run:
   motions = library.resolve(_RUN.modes)
-  return setup.build(_RUN, motions, codebook.one_hot(motions))
+  return setup.build(_RUN, mode_set.one_hot(motions))
 
 
 def _train(run: setup.Run, iterations: int) -> list[Mapping[str, float]]:
@@ -115,7 +115,7 @@ def test_state_of_another_run() -> None:
   for change in ({'num_worlds': 4}, {'modes': 'idle,launch'}):
     config = dataclasses.replace(_RUN, **change)
     motions = library.resolve(config.modes)
-    other = setup.build(config, motions, codebook.one_hot(motions))
+    other = setup.build(config, mode_set.one_hot(motions))
     with pytest.raises(ValueError):
       other.loop.restore(tensors, values)
   del tensors['actor/generator']

@@ -12,8 +12,8 @@ import numpy as np
 from dmc_multimode.arenas import layouts
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track
-from dmc_multimode.modes import codebook
 from dmc_multimode.modes import library
+from dmc_multimode.modes import mode_set
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
 
@@ -224,9 +224,7 @@ class BatchedTest(parameterized.TestCase):
   def test_balls_rest_on_every_segment(self) -> None:
     motions = library.resolve('idle')
     arena = _parkour()
-    task = multimode_biped.make_task(
-      motions, codebook.one_hot(motions), arena=arena
-    )
+    task = multimode_biped.make_task(mode_set.one_hot(motions), arena=arena)
     joints = [joint.full_identifier for joint in _add_balls(arena)]
     worlds = batched_env.BatchedImitation(
       task, _NUM_TRACKS, seed=0, num_threads=2

@@ -18,7 +18,7 @@ _WARM_UP = """
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.modes import library
-batched_env._compile(multimode_biped.make_task(library.resolve('idle')))
+batched_env._compile(multimode_biped.make_task(library.mode_set('idle')))
 """
 
 

@@ -53,9 +53,9 @@ def test_the_model_acts_as_the_policy_does(
   properties = session.get_modelmeta().custom_metadata_map
   values = {key: json.loads(value) for key, value in properties.items()}
   assert len(values) == 4
-  assert values['modes'] == [motion.name for motion in policy.motions]
+  assert values['modes'] == [motion.name for motion in policy.mode_set.motions]
   assert values['control_timestep'] == policy.config.control_timestep
-  np.testing.assert_array_equal(values['latents'], policy.codebook.latents)
+  np.testing.assert_array_equal(values['latents'], policy.mode_set.latents)
   sizes = {part['name']: part['size'] for part in values['observation']}
   assert sum(sizes.values()) == size
   assert list(sizes)[:2] == ['clock', 'command']

@@ -173,7 +173,7 @@ def test_two_ranks_hold_one_network(two: Launch) -> None:
   worlds = [tensors[f'{p}environment/physics'] for p in ('', 'rank1/')]
   assert len(worlds[0]) == len(worlds[1]) == 4
   assert not torch.equal(*worlds)
-  config, _, _ = setup.load_run(two.run)
+  config, _ = setup.load_run(two.run)
   assert config.num_worlds == 8
   assert pretrained.load(two.run).provenance['steps'] == short_run.STEPS
 
@@ -251,7 +251,7 @@ def test_two_ranks_begin_with_one_policy(tmp_path: pathlib.Path) -> None:
     if key.startswith(('policy.', 'value.')):
       torch.testing.assert_close(value, expected[key], atol=1e-9, rtol=0)
   after = pretrained.load(launch.run)
-  assert after.codebook.names == ('idle', 'walk_forward', 'leap_forward')
+  assert after.mode_set.names == ('idle', 'walk_forward', 'leap_forward')
 
 
 # What is said to be wrong, and what counts as a restart.

@@ -46,7 +46,7 @@ torch.optim.Adam([torch.zeros(1)])
 from dmc_multimode.modes import library
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
-batched_env._compile(multimode_biped.make_task(library.resolve('idle')))
+batched_env._compile(multimode_biped.make_task(library.mode_set('idle')))
 """
 
 _BAD_MODE = """\
@@ -125,14 +125,14 @@ def test_folder_of_a_run(run_dir: pathlib.Path) -> None:
     'tensorboard',
   }
   assert found == expected
-  config, motions, book = setup.load_run(run_dir)
+  config, mode_set = setup.load_run(run_dir)
   assert (config.num_worlds, config.threads, config.one_hot) == (8, 1, True)
   assert config.ppo.hidden_sizes == (16,)
-  assert [motion.name for motion in motions] == ['idle', 'walk_forward']
-  assert book.latents.tolist() == [[1, 0], [0, 1]]
+  assert mode_set.names == ('idle', 'walk_forward')
+  assert mode_set.latents.tolist() == [[1, 0], [0, 1]]
   policy = pretrained.load(run_dir)
   assert policy.provenance['steps'] == _STEPS
-  assert policy.codebook.names == ('idle', 'walk_forward')
+  assert policy.mode_set.names == ('idle', 'walk_forward')
   json.dumps(dict(policy.provenance))
 
 
@@ -215,7 +215,7 @@ def test_policies_are_kept_along_the_way(
   for name in ('policies/128', 'policies/224', 'policies/320', ''):
     policy = pretrained.load(folder / name)
     assert policy.provenance['steps'] == int(name[-3:] or _STEPS)
-    assert policy.codebook.names == ('idle', 'walk_forward')
+    assert policy.mode_set.names == ('idle', 'walk_forward')
     directory = folder / (name or 'policy')
     values, _ = checkpointing.load_tensors(directory / 'policy.safetensors')
     tensors.append(torch.cat([value.ravel() for value in values.values()]))
@@ -493,9 +493,9 @@ def grown(
 
 def test_policy_gains_a_mode(known: pathlib.Path, grown: pathlib.Path) -> None:
   before, after = pretrained.load(known), pretrained.load(grown)
-  assert after.codebook.names == ('idle', 'leap_forward', 'walk_forward')
-  old = after.codebook.subset(before.codebook.names)
-  assert old.latents.tolist() == before.codebook.latents.tolist()
+  assert after.mode_set.names == ('idle', 'leap_forward', 'walk_forward')
+  old = after.mode_set.subset(before.mode_set.names)
+  assert old.latents.tolist() == before.mode_set.latents.tolist()
   assert after.hidden_sizes == before.hidden_sizes
   run = after.provenance['run']
   assert run['init_from'] == str(known)

@@ -5,8 +5,8 @@ from typing import Any, Mapping, Sequence
 
 from dmc_multimode import pretrained
 from dmc_multimode.agents.ppo import networks
-from dmc_multimode.modes import codebook
 from dmc_multimode.modes import library
+from dmc_multimode.modes import mode_set
 from dmc_multimode.modes.encoder import training as encoder_training
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import observations
@@ -20,11 +20,10 @@ def save(
   provenance: Mapping[str, Any],
 ) -> None:
   """Writes a small policy with one-hot commands for `modes` into a folder."""
-  motions = library.resolve(modes)
-  book = codebook.one_hot(motions)
-  size = 2 + book.latent_dim + observations.STATE_SIZE
+  known = mode_set.one_hot(library.resolve(modes))
+  size = 2 + known.latent_dim + observations.STATE_SIZE
   network = networks.ActorCritic(size, observations.NUM_JOINTS, (8,))
-  pretrained.Policy(network, (8,), motions, book, task, provenance).save(folder)
+  pretrained.Policy(network, (8,), known, task, provenance).save(folder)
 
 
 def save_with_encoder(
@@ -50,8 +49,7 @@ def save_with_encoder(
       activation='silu',
     ),
     (16,),
-    encoder.motions,
-    book,
+    mode_set.ModeSet(encoder.motions, book),
     task or task_config.ImitationConfig(),
     provenance,
   )

@@ -8,7 +8,6 @@ import pytest
 
 from dmc_multimode.evaluation import figures
 from dmc_multimode.modes import library
-from dmc_multimode.modes import reference
 
 _TIMESTEP = 0.03  # Seconds.
 
@@ -86,18 +85,18 @@ def test_clock_rates() -> None:
   ],
 )
 def test_sequence(modes: str, names: tuple[str, ...], seconds: float) -> None:
-  bank = reference.ReferenceBank(library.resolve(modes))
-  schedule, found = figures.sequence(bank)
-  assert tuple(bank.names[i] for i in schedule.modes[0]) == names
+  mode_set = library.mode_set(modes)
+  schedule, found = figures.sequence(mode_set)
+  assert tuple(mode_set.names[i] for i in schedule.modes[0]) == names
   assert found == pytest.approx(seconds)
   assert schedule.starts[0, -1] < found
 
 
 def test_transitions() -> None:
-  bank = reference.ReferenceBank(library.resolve('pi2'))
-  schedule, _ = figures.sequence(bank)
+  mode_set = library.mode_set('pi2')
+  schedule, _ = figures.sequence(mode_set)
   measured = _measured(100, 1)
-  drawn = figures.transitions(bank, schedule, measured, 90, _TIMESTEP)
+  drawn = figures.transitions(mode_set, schedule, measured, 90, _TIMESTEP)
   axis = drawn.axes[0]
   lines = {line.get_label(): line.get_data() for line in axis.lines}
   np.testing.assert_array_equal(

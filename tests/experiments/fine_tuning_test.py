@@ -93,8 +93,8 @@ def test_defaults_fit_every_shipped_policy(
   config = start.config(motions, 1000)
   start.check(config)
   assert config.init_from == name
-  assert config.modes.split(',') == [*start.policy.codebook.names, 'squat']
-  assert config.init_modes.split(',') == list(start.policy.codebook.names)
+  assert config.modes.split(',') == [*start.policy.mode_set.names, 'squat']
+  assert config.init_modes.split(',') == list(start.policy.mode_set.names)
   assert config.sampling.focused == ('squat',)
   assert config.sampling.gait_steps == 0
   assert config.task.distance_after(0) == config.task.limits.distance
@@ -107,7 +107,7 @@ def test_defaults_fit_every_shipped_policy(
 def test_its_own_training_is_gone_on_with() -> None:
   start = fine_tuning.load('pi2')
   run = start.policy.provenance['run']
-  config = start.config(start.policy.motions, 1000)
+  config = start.config(start.policy.mode_set.motions, 1000)
   assert config.ppo.symmetry == run['ppo']['symmetry'] == 'alternate'
   assert config.ppo.discount == run['ppo']['discount']
   assert config.task.gains._asdict() == run['task']['gains']
@@ -119,9 +119,9 @@ def test_modes_of_the_policy_are_its_own(
 ) -> None:
   """Those of the library by the same name may have changed since."""
   slow = dataclasses.replace(library.modes()['idle'], duration=0.9)
-  policy = dataclasses.replace(
-    start.policy, motions=(slow, start.policy.motions[1])
-  )
+  mine = start.policy.mode_set
+  changed = dataclasses.replace(mine, motions=(slow, mine.motions[1]))
+  policy = dataclasses.replace(start.policy, mode_set=changed)
   other = dataclasses.replace(start, policy=policy)
   found = other.modes('leap_forward,squat,idle', squat)
   assert [m.name for m in found] == ['leap_forward', 'squat', 'idle']
@@ -143,7 +143,7 @@ def test_latents(start: fine_tuning.Start, squat: fine_tuning.Motions) -> None:
   encoder, codebook = start.encode(motions)
   assert codebook.names == ('squat', 'walk_forward', 'idle')
   np.testing.assert_array_equal(
-    codebook.latents[[2, 1]], start.policy.codebook.latents
+    codebook.latents[[2, 1]], start.policy.mode_set.latents
   )
   np.testing.assert_array_equal(codebook.latents[:1], encoder.encode(squat))
 
@@ -163,7 +163,7 @@ def test_contradictions(
   changes: dict[str, Any],
   message: str,
 ) -> None:
-  config = start.config(start.policy.motions, 1000)
+  config = start.config(start.policy.mode_set.motions, 1000)
   start.check(config)
   if part:
     changes = {part: dataclasses.replace(getattr(config, part), **changes)}
@@ -176,7 +176,7 @@ def test_value_function_of_another_version(start: fine_tuning.Start) -> None:
   policy = dataclasses.replace(start.policy, network=network)
   other = dataclasses.replace(start, policy=policy)
   with pytest.raises(ValueError, match='sees 9 privileged numbers.*13'):
-    other.check(other.config(start.policy.motions, 1000))
+    other.check(other.config(start.policy.mode_set.motions, 1000))
 
 
 @pytest.mark.parametrize(
@@ -195,7 +195,7 @@ def test_encoder_of_a_run(
   for path in folder.glob('encoder.*'):
     shutil.copy(path, tmp_path / 'encoder')
   found = fine_tuning.load(str(tmp_path / where))
-  assert found.policy.codebook.names == ('idle', 'walk_forward')
+  assert found.policy.mode_set.names == ('idle', 'walk_forward')
   assert [m.name for m in found.encoder.motions] == ['idle', 'walk_forward']
 
 
@@ -222,7 +222,7 @@ def test_encoder_of_another_policy(folder: pathlib.Path) -> None:
     str(folder), str(resources.path('pretrained', 'pi2'))
   )
   with pytest.raises(ValueError, match='not the one that the latents'):
-    other.encode(other.policy.motions)
+    other.encode(other.policy.mode_set.motions)
 
 
 def test_shipped_squat() -> None:

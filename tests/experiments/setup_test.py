@@ -13,8 +13,8 @@ from dmc_multimode import pretrained
 from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.agents.ppo import networks
 from dmc_multimode.experiments import setup
-from dmc_multimode.modes import codebook
 from dmc_multimode.modes import library
+from dmc_multimode.modes import mode_set
 
 _MODES = 'idle,walk_forward'
 _POLICY_SEES = 2 + 2 + 31  # With one-hot commands.
@@ -36,8 +36,7 @@ def _build(**changes: Any) -> setup.Run:
         one_hot=True,
         ppo=dataclasses.replace(_TINY, **changes),
       ),
-      motions,
-      codebook.one_hot(motions),
+      mode_set.one_hot(motions),
     )
   finally:
     torch.set_num_threads(threads)

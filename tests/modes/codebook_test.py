@@ -6,18 +6,10 @@ import numpy as np
 
 from dmc_multimode.modes import codebook
 from dmc_multimode.modes import library
+from dmc_multimode.modes import mode_set
 
 
 class CodebookTest(parameterized.TestCase):
-  def test_one_hot(self) -> None:
-    book = codebook.one_hot(library.resolve('pi2'))
-    self.assertEqual(book.names, library.SETS['pi2'])
-    np.testing.assert_array_equal(book.latents, np.eye(4))
-    self.assertEqual(book.latents.dtype, np.float32)
-    self.assertEqual(book.latent_dim, 4)
-    self.assertLen(book, 4)
-    self.assertAlmostEqual(book.separation(), 1.0)
-
   def test_distances_and_separation(self) -> None:
     latents = np.array([[0, 0], [3, 4], [0, 1]])
     book = codebook.Codebook(('a', 'b', 'c'), latents)
@@ -29,7 +21,9 @@ class CodebookTest(parameterized.TestCase):
   def test_aliased_and_single_modes(self) -> None:
     same = codebook.Codebook(('a', 'b'), np.ones((2, 4)))
     self.assertEqual(same.separation(), 0.0)
-    self.assertEqual(codebook.one_hot(library.resolve('idle')).separation(), 1)
+    self.assertEqual(
+      mode_set.one_hot(library.resolve('idle')).codebook.separation(), 1
+    )
 
   def test_is_a_frozen_copy(self) -> None:
     latents = np.zeros((1, 2), dtype=np.float32)
@@ -40,7 +34,7 @@ class CodebookTest(parameterized.TestCase):
       book.latents[0, 0] = 1.0
 
   def test_index(self) -> None:
-    book = codebook.one_hot(library.resolve('pi2'))
+    book = mode_set.one_hot(library.resolve('pi2'))
     self.assertEqual(book.index('launch'), 3)
     with self.assertRaisesRegex(ValueError, "'fly'.*idle"):
       book.index('fly')

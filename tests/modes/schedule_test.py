@@ -7,14 +7,12 @@ from absl.testing import parameterized
 import numpy as np
 
 from dmc_multimode.modes import library
-from dmc_multimode.modes import reference
 from dmc_multimode.modes import schedule
 
 _NEVER = np.iinfo(np.int64).max
 
 
-def _bank() -> reference.ReferenceBank:
-  return reference.ReferenceBank(library.resolve('pi2'))
+_PI2 = library.mode_set('pi2')
 
 
 class ModeScheduleTest(parameterized.TestCase):
@@ -59,10 +57,9 @@ class BuildersTest(parameterized.TestCase):
     np.testing.assert_array_equal(plan.clock_rate, [1.5, 1.5])
 
   def test_transitions_switch_after_clips_and_phase(self) -> None:
-    bank = _bank()
-    walk, launch = bank.index('walk_forward'), bank.index('launch')
+    walk, launch = _PI2.index('walk_forward'), _PI2.index('launch')
     plan = schedule.transitions(
-      bank,
+      _PI2,
       initial=np.array([walk, walk, launch, launch]),
       final=np.array([0, 2, 0, 1]),
       clips=np.array([0, 1, 0, 1]),
@@ -74,10 +71,9 @@ class BuildersTest(parameterized.TestCase):
     np.testing.assert_allclose(plan.starts[:, 1], expected)
 
   def test_commands_wait_for_the_ground(self) -> None:
-    bank = _bank()
-    leap, launch = bank.index('leap_forward'), bank.index('launch')
+    leap, launch = _PI2.index('leap_forward'), _PI2.index('launch')
     plan = lambda **kwargs: schedule.transitions(
-      bank,
+      _PI2,
       initial=np.array([leap, leap, leap, launch, launch]),
       final=np.array([launch, 0, launch, 0, launch]),
       clips=np.array([0, 1, 0, 0, 1]),
@@ -95,10 +91,10 @@ class BuildersTest(parameterized.TestCase):
     )
 
   def test_commands_wait_for_who_pushes_off(self) -> None:
-    bank = reference.ReferenceBank(library.resolve('pi3'))
-    hop, leap = bank.index('hop_forward'), bank.index('leap_forward')
+    pi3 = library.mode_set('pi3')
+    hop, leap = pi3.index('hop_forward'), pi3.index('leap_forward')
     plan = schedule.transitions(
-      bank,
+      pi3,
       initial=np.array([hop, hop, hop, leap]),
       final=np.zeros(4, dtype=np.int64),
       clips=np.array([0, 0, 1, 0]),
@@ -121,7 +117,7 @@ class BuildersTest(parameterized.TestCase):
 
   def test_from_names(self) -> None:
     names, durations = schedule.parse('walk_forward:2, leap_forward:3,idle:1')
-    plan = schedule.from_names(_bank(), names, durations)
+    plan = schedule.from_names(_PI2, names, durations)
     np.testing.assert_array_equal(plan.modes, [[1, 2, 0]])
     np.testing.assert_allclose(plan.starts, [[0, 2, 5]])
 
@@ -136,7 +132,7 @@ class BuildersTest(parameterized.TestCase):
     self, names: list[str], durations: list[float], message: str
   ) -> None:
     with self.assertRaisesRegex(ValueError, message):
-      schedule.from_names(_bank(), names, durations)
+      schedule.from_names(_PI2, names, durations)
 
   @parameterized.parameters(
     '',

@@ -11,16 +11,15 @@ import numpy as np
 import pytest
 
 from dmc_multimode.modes import library
-from dmc_multimode.modes import reference
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import pushes as pushes_lib
 
-_BANK = reference.ReferenceBank(library.resolve('pi2'))
+_PI2 = library.mode_set('pi2')
 _PLAN = plan_lib.ModePlan(('idle', 'launch', 'launch', 'idle'), 0.3)
 
 
 def test_schedule() -> None:
-  schedule = _PLAN.schedule(_BANK)
+  schedule = _PLAN.schedule(_PI2)
   np.testing.assert_array_equal(schedule.modes, [[0, 3, 3, 0]])
   np.testing.assert_allclose(schedule.starts, [[0.0, 0.3, 0.6, 0.9]])
   assert _PLAN.duration == pytest.approx(1.2)
@@ -33,17 +32,17 @@ def test_segments() -> None:
 
 
 def test_from_indices() -> None:
-  assert plan_lib.from_indices([0, 3, 3, 0], _BANK.names, 0.3) == _PLAN
+  assert plan_lib.from_indices([0, 3, 3, 0], _PI2.names, 0.3) == _PLAN
 
 
 def test_unknown_mode() -> None:
   plan = plan_lib.ModePlan(('idle', 'hop_forward'), 0.3)
   with pytest.raises(ValueError, match="'hop_forward'.*knows idle, walk"):
-    plan.schedule(_BANK)
+    plan.schedule(_PI2)
 
 
 @given(
-  st.lists(st.sampled_from(_BANK.names), min_size=1, max_size=40),
+  st.lists(st.sampled_from(_PI2.names), min_size=1, max_size=40),
   st.floats(1e-3, 10.0),
 )
 def test_round_trip(modes: list[str], dt: float) -> None:

@@ -10,7 +10,6 @@ import pytest
 from dmc_multimode import pretrained
 from dmc_multimode.agents.ppo import acting
 from dmc_multimode.arenas import track
-from dmc_multimode.modes import reference
 from dmc_multimode.planner import beam_search as search
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import problem as problem_lib
@@ -73,12 +72,9 @@ def _in_composer(
     task_config.for_evaluation(policy.config),
     time_limit=found.plan.duration,
   )
-  motions = policy.motions
-  bank = reference.ReferenceBank(motions)
   task = multimode_biped.make_task(
-    motions,
-    policy.codebook,
-    episodes.ScheduledEpisodes(found.plan.schedule(bank)),
+    policy.mode_set,
+    episodes.ScheduledEpisodes(found.plan.schedule(policy.mode_set)),
     config=config,
   )
   environment: composer.Environment = multimode_biped.make_environment(
@@ -194,7 +190,7 @@ def test_from_where_a_robot_is(policy: pretrained.Policy) -> None:
   found = solver.solve(robot=robot)
   assert found.success
   assert found.path.shape == (20, 3)
-  indices = found.plan.indices(robot.bank)
+  indices = found.plan.indices(robot.mode_set)
   assert len(indices) == 2
   guessed = solver.solve(robot=robot, guess=indices)
   assert guessed.plan == found.plan

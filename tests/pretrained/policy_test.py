@@ -15,6 +15,7 @@ from dmc_multimode.agents import checkpointing
 from dmc_multimode.agents.ppo import networks
 from dmc_multimode.modes import codebook
 from dmc_multimode.modes import library
+from dmc_multimode.modes import mode_set
 from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import observations
@@ -40,8 +41,9 @@ def _policy(
   return pretrained.Policy(
     network,
     (16, 8),
-    library.resolve(_MODES),
-    codebook.Codebook(_MODES, latents),
+    mode_set.ModeSet(
+      library.resolve(_MODES), codebook.Codebook(_MODES, latents)
+    ),
     task_config.ImitationConfig(time_limit=3.0),
     {'steps': 12, 'run': {'seed': 3}},
   )
@@ -87,11 +89,13 @@ def test_round_trip(folder: pathlib.Path) -> None:
   loaded = pretrained.load(folder)
   assert loaded.hidden_sizes == (16, 8)
   assert loaded.config == policy.config
-  assert loaded.codebook.names == _MODES
+  assert loaded.mode_set.names == _MODES
   np.testing.assert_array_equal(
-    loaded.codebook.latents, policy.codebook.latents
+    loaded.mode_set.latents, policy.mode_set.latents
   )
-  for one, other in zip(loaded.motions, policy.motions, strict=True):
+  for one, other in zip(
+    loaded.mode_set.motions, policy.mode_set.motions, strict=True
+  ):
     assert one.name == other.name
     np.testing.assert_array_equal(one.positions, other.positions)
   assert loaded.provenance['run'] == {'seed': 3}
@@ -170,14 +174,14 @@ def test_weights_of_another_privileged_size(folder: pathlib.Path) -> None:
 
 def test_shipped_policy_loads() -> None:
   policy = pretrained.load('quickstart')
-  size = 2 + policy.codebook.latent_dim + observations.STATE_SIZE
+  size = 2 + policy.mode_set.latent_dim + observations.STATE_SIZE
   assert policy.network.observation_size == size
   seen = np.zeros((3, size), np.float32)
   assert policy.select_action(seen).shape == (3, observations.NUM_JOINTS)
 
 
 def test_folder_of_a_run(folder: pathlib.Path) -> None:
-  assert pretrained.load(str(folder.parent)).codebook.names == _MODES
+  assert pretrained.load(str(folder.parent)).mode_set.names == _MODES
 
 
 def test_metrics(folder: pathlib.Path) -> None:

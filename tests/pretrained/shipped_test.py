@@ -27,10 +27,9 @@ class ShippedTest(parameterized.TestCase):
   @parameterized.parameters(*((name,) for name in pretrained.names()))
   def test_modes_are_as_good_as_reported(self, name: str) -> None:
     policy = pretrained.load(name)
-    modes = np.repeat(np.arange(len(policy.motions)), _EPISODES)
+    modes = np.repeat(np.arange(len(policy.mode_set)), _EPISODES)
     task = multimode_biped.make_task(
-      policy.motions,
-      policy.codebook,
+      policy.mode_set,
       episodes.ScheduledEpisodes(schedule.single(modes)),
       config=task_config.for_evaluation(policy.config),
     )
@@ -39,7 +38,7 @@ class ShippedTest(parameterized.TestCase):
     self.assertGreater(
       found.returns.mean(), policy.metrics['mra_modes']['mean'] - _MARGIN
     )
-    for i, motion in enumerate(policy.motions):
+    for i, motion in enumerate(policy.mode_set.motions):
       mine, reported = modes == i, policy.metrics['modes'][motion.name]
       # One fall in so few episodes costs more than the margin.
       if reported['survival'] < 1.0:
@@ -64,13 +63,12 @@ class ShippedTest(parameterized.TestCase):
   @parameterized.parameters(*((name,) for name in pretrained.names()))
   def test_it_runs_in_composer_too(self, name: str) -> None:
     policy = pretrained.load(name)
-    names = [motion.name for motion in policy.motions]
+    names = [motion.name for motion in policy.mode_set.motions]
     walks = 'walk_forward' in names  # Unimodal ones may not.
     mode = np.array([names.index('walk_forward') if walks else 0])
     config = task_config.for_evaluation(policy.config)
     task = multimode_biped.make_task(
-      policy.motions,
-      policy.codebook,
+      policy.mode_set,
       episodes.ScheduledEpisodes(schedule.single(mode)),
       config=dataclasses.replace(config, time_limit=3.0),
     )

@@ -24,7 +24,7 @@ _STEPS = 40
 def rollout(threads: int) -> str:
   """Returns a hash of everything that random actions lead to."""
   worlds = batched_env.BatchedImitation(
-    multimode_biped.make_task(library.resolve('pi2')), 12, 3, threads
+    multimode_biped.make_task(library.mode_set('pi2')), 12, 3, threads
   )
   found = hashlib.sha256(worlds.reset().tobytes())
   random, ended = np.random.RandomState(0), 0

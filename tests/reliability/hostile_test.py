@@ -25,6 +25,7 @@ from dmc_multimode.experiments import setup
 from dmc_multimode.modes import codebook
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
+from dmc_multimode.modes import mode_set
 from dmc_multimode.modes.encoder import training as encoder_training
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.pretrained import policy as policy_lib
@@ -83,7 +84,7 @@ def _checkpoint(folder: pathlib.Path) -> None:
 def _run(folder: pathlib.Path) -> None:
   motions = library.resolve(_MODES)
   run = setup.RunConfig(modes=','.join(_MODES), one_hot=True)
-  setup.save_run(folder, run, motions, codebook.one_hot(motions))
+  setup.save_run(folder, run, mode_set.one_hot(motions))
 
 
 def _encoder(folder: pathlib.Path) -> None:
@@ -94,7 +95,7 @@ def _encoder(folder: pathlib.Path) -> None:
 
 
 def _codebook(folder: pathlib.Path) -> None:
-  codebook.one_hot(library.resolve(_MODES)).save(folder)
+  mode_set.one_hot(library.resolve(_MODES)).codebook.save(folder)
 
 
 def _nothing(folder: pathlib.Path) -> None:

@@ -19,8 +19,8 @@ from dmc_multimode.agents import loggers
 from dmc_multimode.agents import runner
 from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.experiments import setup
-from dmc_multimode.modes import codebook
 from dmc_multimode.modes import library
+from dmc_multimode.modes import mode_set
 from dmc_multimode.utils import files
 
 _RUN = setup.RunConfig(
@@ -59,7 +59,7 @@ def _one_thread() -> Iterator[None]:
 def run() -> setup.Run:
   """Worlds to be poisoned; whoever uses it begins where the last one ended."""
   motions = library.resolve(_RUN.modes)
-  return setup.build(_RUN, motions, codebook.one_hot(motions))
+  return setup.build(_RUN, mode_set.one_hot(motions))
 
 
 def _train(run: setup.Run, iterations: int) -> list[dict[str, float]]:

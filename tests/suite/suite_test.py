@@ -13,7 +13,6 @@ import numpy as np
 
 from dmc_multimode import suite
 from dmc_multimode.modes import library
-from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.reaching import problem as reaching
 
 _DOMAIN = 'multimode_biped'
@@ -173,7 +172,7 @@ class TasksTest(parameterized.TestCase):
     self.assertEqual(env.task.mode, mode)
     np.testing.assert_allclose(
       env.task.core.tracker.commands(),
-      multimode_biped.library_codebook().subset([mode]).latents,
+      library.codebook().subset([mode]).latents,
     )
 
   def test_sets_command_all_their_modes(self) -> None:

@@ -16,6 +16,7 @@ import torch
 from torch import nn
 
 from dmc_multimode.modes import codebook as codebook_lib
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import reference
 from dmc_multimode.modes.encoder import network as autoencoder
 from dmc_multimode.modes.encoder import training as encoder_training
@@ -28,11 +29,10 @@ _ANCHOR_WEIGHT = 10.0  # Of the distance of old modes from where they belong.
 
 def extend(
   base: encoder_training.ModeEncoder,
-  old: Sequence[reference.ReferenceMotion],
-  codebook: codebook_lib.Codebook,
+  old: mode_set_lib.ModeSet,
   new: Sequence[reference.ReferenceMotion],
-) -> tuple[encoder_training.ModeEncoder, codebook_lib.Codebook]:
-  """Returns an encoder that knows new modes too, and the latents of all.
+) -> tuple[encoder_training.ModeEncoder, mode_set_lib.ModeSet]:
+  """Returns an encoder that knows new modes too, and all modes with latents.
 
   The latents of the old modes are those given, to the bit. The tolerances are
   those that `base` was trained to; the result depends on the arguments alone.
@@ -40,7 +40,6 @@ def extend(
   Args:
     base: what the old modes were encoded with; it stays as it is.
     old: modes whose latents are in use.
-    codebook: these latents.
     new: modes to be encoded; nothing is trained where there is none.
 
   Raises:
@@ -49,9 +48,8 @@ def extend(
     ConvergenceError: the tolerances of `base` are not met in as many epochs as
       it was given.
   """
-  codebook = codebook.subset([motion.name for motion in old])
-  _check_base(base, old, codebook)
-  motions = (*old, *new)
+  _check_base(base, old)
+  motions = (*old.motions, *new)
   try:
     encoder_training.check_set(motions, base.config)
   except ValueError as error:
@@ -61,24 +59,23 @@ def extend(
     ) from None
   network = base.network
   if new:
-    network = _Extension(base, motions, codebook).train()
+    network = _Extension(base, motions, old.latents).train()
   trained = encoder_training.ModeEncoder(base.config, motions, network)
   if not new:
-    return trained, codebook
-  latents = np.concatenate([codebook.latents, trained.encode(new)])
+    return trained, old
+  latents = np.concatenate([old.latents, trained.encode(new)])
   names = tuple(motion.name for motion in motions)
-  return trained, codebook_lib.Codebook(names, latents)
+  codebook = codebook_lib.Codebook(names, latents)
+  return trained, mode_set_lib.ModeSet(motions, codebook)
 
 
 def _check_base(
-  base: encoder_training.ModeEncoder,
-  old: Sequence[reference.ReferenceMotion],
-  codebook: codebook_lib.Codebook,
+  base: encoder_training.ModeEncoder, old: mode_set_lib.ModeSet
 ) -> None:
-  """Raises ValueError unless `base` encodes the old modes as the codebook."""
-  found = base.encode(old)
-  if found.shape != codebook.latents.shape or not np.allclose(
-    found, codebook.latents, rtol=0.0, atol=2 * _TOLERANCE
+  """Raises ValueError unless `base` gives the old modes their latents."""
+  found = base.encode(old.motions)
+  if found.shape != old.latents.shape or not np.allclose(
+    found, old.latents, rtol=0.0, atol=2 * _TOLERANCE
   ):
     raise ValueError(
       'The encoder is not the one that the latents of the old modes are from: '
@@ -111,13 +108,13 @@ class _Extension:
     self,
     base: encoder_training.ModeEncoder,
     motions: Sequence[reference.ReferenceMotion],
-    codebook: codebook_lib.Codebook,
+    held: np.ndarray,
   ):
-    """Holds the latents of the first motions, those of the codebook."""
+    """Holds the latents of the first motions, [N, n_m]."""
     self._config = base.config
     self._network = copy.deepcopy(base.network).requires_grad_(True)
     self._batch = autoencoder.Batch(motions, base.config.use_contacts)
-    self._held = torch.tensor(codebook.latents)
+    self._held = torch.tensor(held)
     # Every pair of modes of which one is new.
     first, second = torch.triu_indices(len(motions), len(motions), 1)
     self._pairs = first, second

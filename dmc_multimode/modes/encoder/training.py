@@ -213,7 +213,7 @@ def load(directory: str | os.PathLike[str]) -> ModeEncoder:
       raise ValueError(f'format {description["format"]!r}')
     config = typed.build(EncoderConfig, description['config'])
     modes = tuple(mode_files.motion_from_dict(m) for m in description['modes'])
-    reference.ReferenceBank(modes)
+    reference.check_names(modes)
     expected = description['weights_sha256']
   except (KeyError, TypeError, ValueError, RecursionError) as error:
     raise ValueError(
@@ -337,7 +337,7 @@ def check_set(
   motions: Sequence[reference.ReferenceMotion], config: EncoderConfig
 ) -> None:
   """Raises ValueError for a set that cannot be encoded, or not be saved."""
-  reference.ReferenceBank(motions)  # At least one mode, and unique names.
+  reference.check_names(motions)  # At least one mode, and unique names.
   for motion in motions:
     try:
       mode_files.motion_from_dict(mode_files.motion_to_dict(motion))

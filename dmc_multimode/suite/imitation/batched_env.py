@@ -110,14 +110,14 @@ class BatchedImitation:
     """
     self.config = task.config
     self.episodes = task.episodes
-    self.motions, self.codebook = task.motions, task.codebook
+    self.mode_set = task.mode_set
     self.num_worlds = num_worlds
     self._arena = task.root_entity
     self._action_spec = task.walker.action_spec
     self._auto_reset = auto_reset
     self._replicas = replicas
     self.privileged_size = (
-      privileged_lib.size(self.codebook.latent_dim) if privileged else 0
+      privileged_lib.size(self.mode_set.latent_dim) if privileged else 0
     )
     self._random_state = (
       seed
@@ -159,7 +159,7 @@ class BatchedImitation:
 
   def observation_spec(self) -> specs.Array:
     """One world's observation, float32 [D]; see `observations`."""
-    size = 2 + self.codebook.latent_dim + observations.STATE_SIZE
+    size = 2 + self.mode_set.latent_dim + observations.STATE_SIZE
     size += self.privileged_size
     return specs.Array((size,), np.float32, name='observation')
 
@@ -173,9 +173,7 @@ class BatchedImitation:
 
   def mirror_image(self) -> task_symmetry.MirrorImage:
     """Returns how to exchange left and right; see `symmetry.mirror_image`."""
-    return task_symmetry.mirror_image(
-      self.motions, self.codebook, self.privileged_size > 0
-    )
+    return task_symmetry.mirror_image(self.mode_set, self.privileged_size > 0)
 
   @property
   def control_timestep(self) -> float:

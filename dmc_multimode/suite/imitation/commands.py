@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dmc_multimode.modes import codebook as codebook_lib
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import reference as reference_lib
 from dmc_multimode.modes import schedule as schedule_lib
 
@@ -52,8 +52,7 @@ class ModeTracker:
 
   def __init__(
     self,
-    motions: tuple[reference_lib.ReferenceMotion, ...],
-    codebook: codebook_lib.Codebook,
+    mode_set: mode_set_lib.ModeSet,
     control_timestep: float,
     num_worlds: int,
     max_knots: int,
@@ -61,23 +60,13 @@ class ModeTracker:
     """Allocates the state; every world must be `reset` before use.
 
     Args:
-      motions: the mode set.
-      codebook: the latents of the same modes, in the same order.
+      mode_set: the modes.
       control_timestep: seconds.
       num_worlds: B.
       max_knots: K, the most commands that a schedule may hold.
-
-    Raises:
-      ValueError: the codebook is of other modes.
     """
-    self.bank = reference_lib.ReferenceBank(motions)
-    if codebook.names != self.bank.names:
-      raise ValueError(
-        f'The codebook encodes {codebook.names}, the task runs '
-        f'{self.bank.names}.'
-      )
-    self.codebook = codebook
-    self._latents = codebook.latents.astype(np.float64)
+    self.bank = mode_set.bank
+    self._latents = mode_set.latents.astype(np.float64)
     self._timestep = control_timestep
     num, knots = num_worlds, max_knots
     zeros = lambda *shape: np.zeros(shape, dtype=np.int64)

@@ -9,8 +9,7 @@ import numpy as np
 
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track as track_lib
-from dmc_multimode.modes import codebook as codebook_lib
-from dmc_multimode.modes import reference as reference_lib
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import core as imitation_core
 from dmc_multimode.suite.imitation import episodes as episodes_lib
@@ -34,8 +33,7 @@ class Imitation(composer.Task):
     self,
     walker: mini_biped.MiniBiped,
     arena: track_lib.Track,
-    motions: tuple[reference_lib.ReferenceMotion, ...],
-    codebook: codebook_lib.Codebook,
+    mode_set: mode_set_lib.ModeSet,
     episodes: episodes_lib.EpisodeInitialiser,
     config: task_config.ImitationConfig | None = None,
   ):
@@ -44,13 +42,12 @@ class Imitation(composer.Task):
     Args:
       walker: the robot; becomes part of the arena.
       arena: where it goes.
-      motions: the mode set.
-      codebook: the latents of these modes.
+      mode_set: the modes.
       episodes: chooses each episode's mode schedule.
       config: of the task; defaults otherwise.
     """
     self._arena, self._walker = arena, walker
-    self.motions, self.codebook = motions, codebook
+    self.mode_set = mode_set
     self.episodes = episodes
     self.config = config or task_config.ImitationConfig()
     self._walker.create_root_joints(self._arena.attach(self._walker))
@@ -83,8 +80,7 @@ class Imitation(composer.Task):
   ) -> imitation_core.ImitationCore:
     """Returns the engine-free task for `num_worlds` worlds of this task."""
     return imitation_core.ImitationCore(
-      self.motions,
-      self.codebook,
+      self.mode_set,
       self.config,
       num_worlds,
       self._arena.num_segments,
@@ -93,7 +89,7 @@ class Imitation(composer.Task):
     )
 
   def _add_observables(self) -> None:
-    layout = observations.layout(self.codebook.latent_dim)
+    layout = observations.layout(self.mode_set.latent_dim)
     self._task_observables = collections.OrderedDict()
     for name, size in layout:
       self._parts[name] = np.zeros((1, size))
@@ -133,7 +129,7 @@ class Imitation(composer.Task):
   @property
   def mode(self) -> str:
     """Name of the running mode."""
-    return self.motions[int(self.core.tracker.state.mode[0])].name
+    return self.mode_set.names[int(self.core.tracker.state.mode[0])]
 
   @property
   def outcome(self) -> imitation_core.Outcome | None:
@@ -212,7 +208,7 @@ class Imitation(composer.Task):
 
     Args:
       physics: of the running episode.
-      mode: index into `motions`.
+      mode: index into `mode_set`.
       random_state: of the places of steps.
     """
     if mode != self.core.tracker.state.mode[0]:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial import transform
 
 from dmc_multimode.arenas import terrain as terrain_lib
-from dmc_multimode.modes import codebook as codebook_lib
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import reference as reference_lib
 from dmc_multimode.suite.imitation import commands
 from dmc_multimode.suite.imitation import config as task_config
@@ -59,8 +59,7 @@ class ImitationCore:
 
   def __init__(
     self,
-    motions: tuple[reference_lib.ReferenceMotion, ...],
-    codebook: codebook_lib.Codebook,
+    mode_set: mode_set_lib.ModeSet,
     config: task_config.ImitationConfig,
     num_worlds: int,
     num_segments: int,
@@ -70,8 +69,7 @@ class ImitationCore:
     """Allocates the state; every world must be started before use.
 
     Args:
-      motions: the mode set.
-      codebook: its latents.
+      mode_set: the modes.
       config: of the task.
       num_worlds: B.
       num_segments: places for segments in each terrain.
@@ -81,14 +79,14 @@ class ImitationCore:
     self.config = config
     self.limits = config.limits
     self.tracker = commands.ModeTracker(
-      motions, codebook, config.control_timestep, num_worlds, max_knots
+      mode_set, config.control_timestep, num_worlds, max_knots
     )
     self.terrain = terrain_lib.empty(num_worlds, num_segments)
     self.contact = np.zeros((num_worlds, 2))
     self.obstacle_share = config.obstacle_share_after(0)
-    self._obstacles = obstacles.ObstacleSource(motions)
+    self._obstacles = obstacles.ObstacleSource(mode_set)
     self._adaptive = adaptive_terrain
-    self._steps = [motion.step for motion in motions]
+    self._steps = [motion.step for motion in mode_set.motions]
 
   def start(
     self,

@@ -4,7 +4,7 @@ from typing import Mapping, NamedTuple, Protocol
 
 import numpy as np
 
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import mode_sampler
 
@@ -61,23 +61,24 @@ class TransitionEpisodes:
 
   def __init__(
     self,
-    bank: reference.ReferenceBank,
+    mode_set: mode_set_lib.ModeSet,
     config: mode_sampler.SamplingConfig | None = None,
     commands_from_ground: bool = True,
   ):
-    """Samples over the modes of `bank`; see `schedule.transitions`.
+    """Samples over the modes of `mode_set`; see `schedule.transitions`.
 
     Raises:
       ValueError: a mode that is to be practised more is none of these.
     """
-    self._bank, self._config = bank, config or mode_sampler.SamplingConfig()
+    self._mode_set = mode_set
+    self._config = config or mode_sampler.SamplingConfig()
     self._commands_from_ground = commands_from_ground
-    self._gaits = np.flatnonzero(bank.gaits)
+    self._gaits = np.flatnonzero(mode_set.bank.gaits)
     self._focused = np.array(
-      [bank.index(name) for name in self._config.focused], dtype=np.int64
+      [mode_set.index(name) for name in self._config.focused], dtype=np.int64
     )
     self._steps = 0
-    self.sampler = mode_sampler.ModeSampler(len(bank), self._config)
+    self.sampler = mode_sampler.ModeSampler(len(mode_set), self._config)
 
   def sample(
     self, ids: np.ndarray, random_state: np.random.RandomState
@@ -93,7 +94,7 @@ class TransitionEpisodes:
     clips = random_state.choice(schedule_lib.CLIPS, size=len(ids))
     phases = random_state.choice(schedule_lib.SWITCH_PHASES, size=len(ids))
     schedule = schedule_lib.transitions(
-      self._bank, initial, final, clips, phases, self._commands_from_ground
+      self._mode_set, initial, final, clips, phases, self._commands_from_ground
     )
     return Episodes(schedule, initial, final)
 
@@ -122,7 +123,7 @@ class TransitionEpisodes:
 
   def probabilities(self) -> dict[str, float]:
     """Returns Algorithm 1's p_i by mode and p_f by transition."""
-    names, result = self._bank.names, {}
+    names, result = self._mode_set.names, {}
     for i, p in enumerate(self.sampler.initial_probabilities):
       result[f'p/{names[i]}'] = float(p)
     for i, row in enumerate(self.sampler.final_probabilities):

@@ -7,10 +7,11 @@ a block of another height or at another distance, a step down ahead of a gait.
 The policy does not see it; it learns to be ready for it.
 """
 
-from typing import NamedTuple, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import reference
 
 _FORWARD = 0.1  # Metres a cycle at least: slower modes meet nothing.
@@ -49,9 +50,9 @@ class Obstacles(NamedTuple):
 class ObstacleSource:
   """Draws obstacles that suit the modes of a set."""
 
-  def __init__(self, motions: Sequence[reference.ReferenceMotion]):
-    """Looks up what the motions can master."""
-    bank = reference.ReferenceBank(motions)
+  def __init__(self, mode_set: mode_set_lib.ModeSet):
+    """Looks up what the modes can master."""
+    motions, bank = mode_set.motions, mode_set.bank
     steps = [motion.step for motion in motions]
     self._stepping = np.array([step is not None for step in steps])
     self._rises = np.array([step.height if step else 0.0 for step in steps])

@@ -6,12 +6,11 @@ are merely exchanged. A mode whose reference looks the same half a cycle later
 is mirrored half a cycle out of phase, which is what makes feet alternate.
 """
 
-from typing import NamedTuple, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from dmc_multimode.modes import codebook as codebook_lib
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.suite.imitation import privileged
 from dmc_multimode.walkers import mini_biped
@@ -49,21 +48,18 @@ _COMMANDS = ('command', 'next_command')
 
 
 def mirror_image(
-  motions: Sequence[reference.ReferenceMotion],
-  codebook: codebook_lib.Codebook,
-  with_privileged: bool = False,
+  mode_set: mode_set_lib.ModeSet, with_privileged: bool = False
 ) -> MirrorImage:
   """Returns the mirror image for a mode set.
 
   Args:
-    motions: the modes.
-    codebook: their latents.
+    mode_set: the modes.
     with_privileged: whether observations end with the privileged parts.
 
   Raises:
     ValueError: the set holds a mode but not its mirror image.
   """
-  names = [motion.name for motion in motions]
+  motions, names = mode_set.motions, mode_set.names
   for motion in motions:
     if motion.mirror not in names:
       raise ValueError(
@@ -73,9 +69,9 @@ def mirror_image(
   legs = len(mini_biped.LEG_JOINTS)
   exchanged = np.roll(np.arange(2 * legs), legs)
   paired = {'joints_pos': exchanged, 'joints_vel': exchanged, 'contact': [1, 0]}
-  layout = observations.layout(codebook.latent_dim)
+  layout = observations.layout(mode_set.latent_dim)
   if with_privileged:
-    layout += privileged.layout(codebook.latent_dim)
+    layout += privileged.layout(mode_set.latent_dim)
   orders, signs, commands, start = [], [], [], 0
   for name, size in layout:
     orders.append(start + np.asarray(paired.get(name, np.arange(size))))

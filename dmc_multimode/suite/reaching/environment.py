@@ -21,7 +21,7 @@ from dmc_multimode.suite.imitation import composer_task
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.suite.reaching import problem as reaching
 
-_NEEDED = ('motions', 'codebook', 'config', 'select_action')
+_NEEDED = ('mode_set', 'config', 'select_action')
 
 
 def load_policy(
@@ -36,7 +36,7 @@ def load_policy(
     FileNotFoundError: there is no such policy; the message lists those there
       are.
     TypeError: the object lacks a part of `reaching.Policy`.
-    ValueError: the policy knows no mode, or its files are damaged.
+    ValueError: the policy's files are damaged.
   """
   if isinstance(policy, (str, os.PathLike)):
     # The one arrow from the suite up to trained policies, which know the suite:
@@ -51,8 +51,6 @@ def load_policy(
       f'policy must be the name of a shipped policy, a folder, or an object '
       f'with {", ".join(_NEEDED)}; {policy!r} has no {", ".join(lacking)}.'
     )
-  if not policy.motions:
-    raise ValueError(f'policy must know at least one mode, not {policy!r}')
   return policy
 
 
@@ -145,7 +143,7 @@ class ReachingEnvironment(dm_env.Environment):
   @property
   def mode_names(self) -> tuple[str, ...]:
     """Names of the modes in the order of their indices."""
-    return tuple(motion.name for motion in self._policy.motions)
+    return self._policy.mode_set.names
 
   @property
   def goal(self) -> np.ndarray:

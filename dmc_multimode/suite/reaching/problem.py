@@ -14,9 +14,8 @@ import numpy as np
 
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track as track_lib
-from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import library
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.suite.imitation import config as config_lib
 from dmc_multimode.suite.imitation import terminations
 
@@ -36,12 +35,8 @@ class Policy(Protocol):
   """What turns commands into motion; `pretrained.Policy` does."""
 
   @property
-  def motions(self) -> tuple[reference.ReferenceMotion, ...]:
+  def mode_set(self) -> mode_set_lib.ModeSet:
     """The modes that it knows."""
-
-  @property
-  def codebook(self) -> codebook_lib.Codebook:
-    """Their latents."""
 
   @property
   def config(self) -> config_lib.ImitationConfig:

@@ -170,7 +170,7 @@ class BatchedVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
       task, num_envs, self._random_state
     )
     self._untaught, self._begun = self._worlds.state(), False
-    self._names = np.array([motion.name for motion in task.motions], object)
+    self._names = np.array(task.mode_set.names, object)
     self.single_observation_space = gymnasium.spaces.Box(
       -np.inf, np.inf, self._worlds.observation_spec().shape, np.float32
     )

@@ -660,7 +660,7 @@ def test_commands_of_the_observation_by_default() -> None:
 
 def test_commands_of_close_latents() -> None:
   """The shipped latents are told apart in large batches too."""
-  latents = multimode_biped.library_codebook().latents
+  latents = library.codebook().latents
   modes = np.random.RandomState(0).randint(len(latents), size=3000)
   observations = torch.zeros(3000, 40)
   observations[:, 2 : 2 + latents.shape[1]] = torch.tensor(latents)[modes]
@@ -907,20 +907,18 @@ class _Mirrored:
   """
 
   def __init__(self) -> None:
-    motions = library.resolve('pi1')
-    self.names = [motion.name for motion in motions]
-    count = len(motions)
+    modes = library.mode_set('pi1')
+    self.names = list(modes.names)
+    count = len(modes)
     first = np.tile(np.arange(count), 2)
     plan = schedule.from_knots(np.stack([first, (first + 1) % count], 1), 0.5)
-    task = multimode_biped.make_task(
-      motions, episodes=episodes.ScheduledEpisodes(plan)
-    )
+    task = multimode_biped.make_task(modes, episodes.ScheduledEpisodes(plan))
     self.environment = batched_env.BatchedImitation(
       task, 2 * count, 0, num_threads=1, auto_reset=False, privileged=True
     )
     self.ones, self.images = np.arange(2 * count).reshape(2, count)
     self.image = self.environment.mirror_image()
-    self.mirror = symmetry.Mirror(self.image, task.codebook.latents)
+    self.mirror = symmetry.Mirror(self.image, task.mode_set.latents)
     self._random_state = np.random.RandomState(1)
 
   def actions(self, count: int) -> np.ndarray:
@@ -974,7 +972,7 @@ def test_mirror_image_of_real_observations(mirrored: _Mirrored) -> None:
   twice = mirrored.mirror.actions(mirrored.mirror.actions(actions))
   assert torch.equal(twice, actions)
 
-  latents = torch.tensor(mirrored.environment.codebook.latents)
+  latents = torch.tensor(mirrored.environment.mode_set.latents)
   exchanged = {'left': 'right', 'right': 'left'}
   for i, name in enumerate(mirrored.names):
     kind, _, side = name.partition('_')
@@ -994,7 +992,7 @@ def test_mirror_image_of_real_observations(mirrored: _Mirrored) -> None:
 
 def test_mirror_image_of_privileged_parts_by_hand(mirrored: _Mirrored) -> None:
   """Position error, contacts, countdown, next command and ground ahead."""
-  latents = torch.tensor(mirrored.environment.codebook.latents)
+  latents = torch.tensor(mirrored.environment.mode_set.latents)
   left, right = (mirrored.names.index(f'walk_{s}') for s in ('left', 'right'))
   seen = torch.zeros(1, 50)
   seen[0, 2:6], seen[0, 43:47] = latents[0], latents[left]
@@ -1010,10 +1008,10 @@ def test_mirror_image_of_privileged_parts_by_hand(mirrored: _Mirrored) -> None:
 
 def test_mirror_image_without_privileged_parts(mirrored: _Mirrored) -> None:
   environment = mirrored.environment
-  image = task_symmetry.mirror_image(environment.motions, environment.codebook)
+  image = task_symmetry.mirror_image(environment.mode_set)
   assert image.commands == (2,)
   assert mirrored.image.commands == (2, 43)
-  plain = symmetry.Mirror(image, environment.codebook.latents)
+  plain = symmetry.Mirror(image, environment.mode_set.latents)
   seen = torch.from_numpy(environment.reset())
   assert torch.equal(
     plain.observations(seen[:, :37]), mirrored.mirror.observations(seen)[:, :37]
@@ -1051,7 +1049,6 @@ def test_mirrored_physics_are_the_same(mirrored: _Mirrored) -> None:
 
 
 def test_set_without_a_mirror_image() -> None:
-  motions = library.resolve('idle,walk_left')
-  book = multimode_biped.library_codebook().subset(['idle', 'walk_left'])
+  modes = library.mode_set('idle,walk_left')
   with pytest.raises(ValueError, match='walk_right'):
-    task_symmetry.mirror_image(motions, book)
+    task_symmetry.mirror_image(modes)

@@ -9,7 +9,6 @@ import pytest
 from benchmarks.paper import hard_switch
 from dmc_multimode import pretrained
 from dmc_multimode.modes import library
-from dmc_multimode.modes import reference
 from dmc_multimode.suite.imitation import config as task_config
 from tests.bin import processes
 from tests.bin import untrained
@@ -34,9 +33,9 @@ def test_each_policy_acts_in_the_worlds_of_its_mode(
 ) -> None:
   policies = [pretrained.load(folder / name) for name in ('one', 'two')]
   both = hard_switch.HardSwitch(policies)
-  assert both.codebook.names == ('walk_forward', 'launch')
+  assert both.mode_set.names == ('walk_forward', 'launch')
   state = np.random.RandomState(0).standard_normal((4, 33)).astype(np.float32)
-  command = both.codebook.latents[[1, 0, 0, 1]]
+  command = both.mode_set.latents[[1, 0, 0, 1]]
   seen = np.concatenate([state[:, :2], command, state[:, 2:]], axis=1)
   actions = both.select_action(seen)
   for i, policy in enumerate(policies):
@@ -54,8 +53,8 @@ def test_needs_policies_of_one_mode(folder: pathlib.Path) -> None:
 
 
 def test_switches_are_spread_over_a_cycle() -> None:
-  bank = reference.ReferenceBank(library.resolve('walk_forward,launch'))
-  schedule = hard_switch.make_schedule(bank, 'walk_forward', 'launch', 4)
+  modes = library.mode_set('walk_forward,launch')
+  schedule = hard_switch.make_schedule(modes, 'walk_forward', 'launch', 4)
   np.testing.assert_array_equal(schedule.modes, [[0, 1]] * 4)
   np.testing.assert_allclose(schedule.starts[:, 1], [1.2, 1.35, 1.5, 1.65])
 

@@ -8,6 +8,7 @@ import torch
 
 from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import library
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import reference
 from dmc_multimode.modes.encoder import extension
 from dmc_multimode.modes.encoder import network
@@ -32,6 +33,10 @@ def _bob(name: str = 'bob', depth: float = 0.5) -> reference.ReferenceMotion:
   )
 
 
+def _held(base: encoder_training.ModeEncoder) -> mode_set_lib.ModeSet:
+  return mode_set_lib.ModeSet(_OLD, base.codebook())
+
+
 @pytest.fixture(scope='module')
 def base() -> encoder_training.ModeEncoder:
   return encoder_training.train(_OLD, _ROUGH)
@@ -40,31 +45,29 @@ def base() -> encoder_training.ModeEncoder:
 @pytest.fixture(scope='module')
 def extended(
   base: encoder_training.ModeEncoder,
-) -> tuple[encoder_training.ModeEncoder, codebook_lib.Codebook]:
-  return extension.extend(base, _OLD, base.codebook(), [_bob()])
+) -> tuple[encoder_training.ModeEncoder, mode_set_lib.ModeSet]:
+  return extension.extend(base, _held(base), [_bob()])
 
 
 def test_old_latents_stay_to_the_bit(
   base: encoder_training.ModeEncoder,
-  extended: tuple[encoder_training.ModeEncoder, codebook_lib.Codebook],
+  extended: tuple[encoder_training.ModeEncoder, mode_set_lib.ModeSet],
 ) -> None:
-  trained, codebook = extended
-  assert codebook.names == ('idle', 'walk_forward', 'bob')
-  np.testing.assert_array_equal(codebook.latents[:2], base.codebook().latents)
+  trained, modes = extended
+  assert modes.names == ('idle', 'walk_forward', 'bob')
+  np.testing.assert_array_equal(modes.latents[:2], base.codebook().latents)
   # The encoder itself may be off a little, by what its docstring says.
-  np.testing.assert_allclose(
-    trained.encode(_OLD), codebook.latents[:2], atol=0.01
-  )
-  np.testing.assert_array_equal(trained.encode([_bob()]), codebook.latents[2:])
-  assert [motion.name for motion in trained.motions] == list(codebook.names)
+  np.testing.assert_allclose(trained.encode(_OLD), modes.latents[:2], atol=0.01)
+  np.testing.assert_array_equal(trained.encode([_bob()]), modes.latents[2:])
+  assert [motion.name for motion in trained.motions] == list(modes.names)
 
 
 def test_new_mode_is_told_apart_and_reconstructed(
   base: encoder_training.ModeEncoder,
-  extended: tuple[encoder_training.ModeEncoder, codebook_lib.Codebook],
+  extended: tuple[encoder_training.ModeEncoder, mode_set_lib.ModeSet],
 ) -> None:
-  trained, codebook = extended
-  assert codebook.separation() > _ROUGH.min_separation
+  trained, modes = extended
+  assert modes.codebook.separation() > _ROUGH.min_separation
   assert trained.rmse()['bob'] < _ROUGH.max_rmse
   # By itself the old encoder would not do.
   (found,) = base.reconstruct([_bob()])
@@ -76,7 +79,7 @@ def test_new_mode_is_told_apart_and_reconstructed(
 def test_base_stays_as_it_is(base: encoder_training.ModeEncoder) -> None:
   before = {k: v.clone() for k, v in base.network.state_dict().items()}
   state = torch.get_rng_state()
-  extension.extend(base, _OLD, base.codebook(), [_bob()])
+  extension.extend(base, _held(base), [_bob()])
   for key, value in base.network.state_dict().items():
     assert torch.equal(value, before[key]), key
   assert torch.equal(torch.get_rng_state(), state)
@@ -84,36 +87,34 @@ def test_base_stays_as_it_is(base: encoder_training.ModeEncoder) -> None:
 
 
 def test_extended_again(
-  extended: tuple[encoder_training.ModeEncoder, codebook_lib.Codebook],
+  extended: tuple[encoder_training.ModeEncoder, mode_set_lib.ModeSet],
 ) -> None:
   """Of an encoder that is off a little, and in another order."""
-  trained, codebook = extended
-  old = (_bob(), *_OLD)
-  _, found = extension.extend(
-    trained, old, codebook, library.resolve('leap_forward')
-  )
+  trained, modes = extended
+  old = modes.subset(['bob', 'idle', 'walk_forward'])
+  _, found = extension.extend(trained, old, library.resolve('leap_forward'))
   assert found.names == ('bob', 'idle', 'walk_forward', 'leap_forward')
-  np.testing.assert_array_equal(found.latents[:3], codebook.latents[[2, 0, 1]])
-  assert found.distances()[3, :3].min() > 0.3 * found.distances().mean()
+  np.testing.assert_array_equal(found.latents[:3], modes.latents[[2, 0, 1]])
+  distances = found.codebook.distances()
+  assert distances[3, :3].min() > 0.3 * distances.mean()
 
 
 def test_nothing_new_is_nothing_to_train(
   base: encoder_training.ModeEncoder,
 ) -> None:
-  trained, codebook = extension.extend(base, _OLD[:1], base.codebook(), [])
+  trained, modes = extension.extend(base, _held(base).subset(['idle']), [])
   assert trained.network is base.network
-  assert codebook.names == ('idle',)
-  np.testing.assert_array_equal(codebook.latents, base.codebook().latents[:1])
+  assert modes.names == ('idle',)
+  np.testing.assert_array_equal(modes.latents, base.codebook().latents[:1])
 
 
 def test_encoder_of_other_latents(base: encoder_training.ModeEncoder) -> None:
   book = base.codebook()
   other = codebook_lib.Codebook(book.names, book.latents + 0.05)
-  with pytest.raises(ValueError, match='not the one that the latents'):
-    extension.extend(base, _OLD, other, [_bob()])
   longer = codebook_lib.Codebook(book.names, np.eye(2, 5))
-  with pytest.raises(ValueError, match='not the one that the latents'):
-    extension.extend(base, _OLD, longer, [_bob()])
+  for wrong in (other, longer):
+    with pytest.raises(ValueError, match='not the one that the latents'):
+      extension.extend(base, mode_set_lib.ModeSet(_OLD, wrong), [_bob()])
 
 
 def test_motion_that_is_known_by_another_name(
@@ -121,7 +122,7 @@ def test_motion_that_is_known_by_another_name(
 ) -> None:
   twin = dataclasses.replace(_OLD[0], name='stay', mirror='stay')
   with pytest.raises(ValueError, match="'idle' and 'stay' .* from scratch"):
-    extension.extend(base, _OLD, base.codebook(), [twin])
+    extension.extend(base, _held(base), [twin])
 
 
 def test_what_is_not_learned_in_time(
@@ -134,4 +135,4 @@ def test_what_is_not_learned_in_time(
     encoder_training.ConvergenceError,
     match='new modes in 1 epochs.*from scratch',
   ):
-    extension.extend(hasty, _OLD, base.codebook(), [_bob()])
+    extension.extend(hasty, _held(base), [_bob()])

@@ -18,9 +18,8 @@ import numpy as np
 
 from dmc_multimode.arenas import layouts
 from dmc_multimode.arenas import terrain
-from dmc_multimode.modes import codebook
 from dmc_multimode.modes import library
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import mode_set
 from dmc_multimode.modes import schedule
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
@@ -33,8 +32,8 @@ from dmc_multimode.suite.imitation import rewards
 from dmc_multimode.suite.imitation import terminations
 
 _MOTIONS = tuple(library.modes().values())
-_BOOK = codebook.one_hot(_MOTIONS)
-_LAUNCH = _BOOK.names.index('launch')
+_MODE_SET = mode_set.one_hot(_MOTIONS)
+_LAUNCH = _MODE_SET.index('launch')
 _TOLERANCE = 1e-9
 _FLOAT32 = 1e-6  # Of the float32 observations, of which many are about 1.
 _STEPS = 30
@@ -59,8 +58,7 @@ def _task(
   arena: str, task_config: config.ImitationConfig
 ) -> composer_task.Imitation:
   return multimode_biped.make_task(
-    _MOTIONS,
-    _BOOK,
+    _MODE_SET,
     episodes.ScheduledEpisodes(_schedule(0)),
     arena,
     task_config,
@@ -180,11 +178,10 @@ def _transitions(
   task_config: config.ImitationConfig = _ENDING, modes: str = 'pi2'
 ) -> composer_task.Imitation:
   """Algorithm 1 on flat ground."""
-  motions = library.resolve(modes)
+  known = mode_set.one_hot(library.resolve(modes))
   return multimode_biped.make_task(
-    motions,
-    codebook.one_hot(motions),
-    episodes.TransitionEpisodes(reference.ReferenceBank(motions)),
+    known,
+    episodes.TransitionEpisodes(known),
     config=task_config,
   )
 
@@ -421,8 +418,7 @@ class CommandTest(parameterized.TestCase):
     self, mode: int, num_worlds: int = 4
   ) -> batched_env.BatchedImitation:
     task = multimode_biped.make_task(
-      _MOTIONS,
-      _BOOK,
+      _MODE_SET,
       episodes.ScheduledEpisodes(schedule.single(np.array([mode]))),
       config=_ENDLESS,
     )
@@ -457,7 +453,7 @@ class CommandTest(parameterized.TestCase):
     )
     np.testing.assert_allclose(
       observation[:, 2 : 2 + len(_MOTIONS)],
-      _BOOK.latents[[0, 1, _LAUNCH, 0]],
+      _MODE_SET.latents[[0, 1, _LAUNCH, 0]],
     )
 
   def test_worlds_go_on_from_where_others_are(self) -> None:
@@ -483,8 +479,7 @@ class SchedulesTest(parameterized.TestCase):
     """Eight robots that launch themselves from rest."""
     task_config = dataclasses.replace(_ENDLESS, reference_starts=0.0, **changes)
     task = multimode_biped.make_task(
-      _MOTIONS,
-      _BOOK,
+      _MODE_SET,
       episodes.ScheduledEpisodes(schedule.single(np.array([_LAUNCH]))),
       config=task_config,
     )
@@ -819,8 +814,7 @@ class PrivilegedTest(parameterized.TestCase):
   def test_ground_ahead(self) -> None:
     """Of worlds on a track: before, over and behind a gap, and of its end."""
     task = multimode_biped.make_task(
-      _MOTIONS,
-      _BOOK,
+      _MODE_SET,
       episodes.ScheduledEpisodes(schedule.single(np.array([0]))),
       'gap_block',  # Gap from 0.6 to 1.05 m, ground to 1.65 m, 0.4 m up.
       _ENDLESS,
@@ -853,7 +847,7 @@ class PrivilegedTest(parameterized.TestCase):
       np.array([modes]), np.array([[0.0, 0.15, 1.95]]), np.ones(1)
     )
     task = multimode_biped.make_task(
-      _MOTIONS, _BOOK, episodes.ScheduledEpisodes(plan), config=_ENDLESS
+      _MODE_SET, episodes.ScheduledEpisodes(plan), config=_ENDLESS
     )
     worlds = batched_env.BatchedImitation(
       task, 1, 0, 1, auto_reset=False, privileged=True
@@ -865,13 +859,13 @@ class PrivilegedTest(parameterized.TestCase):
       coming = modes[min(runs + 1, 2)]
       parts, count = _privileged_parts(observation), len(_MOTIONS)
       np.testing.assert_array_equal(
-        observation[:, 2 : 2 + count], _BOOK.latents[[modes[runs]]]
+        observation[:, 2 : 2 + count], _MODE_SET.latents[[modes[runs]]]
       )
       np.testing.assert_allclose(
         parts['countdown'], [[min(0.03 * (due - step), 1.5)]], atol=_FLOAT32
       )
       np.testing.assert_array_equal(
-        parts['next_command'], _BOOK.latents[[coming]]
+        parts['next_command'], _MODE_SET.latents[[coming]]
       )
       observation = worlds.step(worlds.standing_action()[None]).observation
 
@@ -881,8 +875,7 @@ class PrivilegedTest(parameterized.TestCase):
       np.array([[0, 1], [2, 3]]), np.array([[0.0, 0.9], [0.0, 0.6]]), np.ones(2)
     )
     task = multimode_biped.make_task(
-      _MOTIONS,
-      _BOOK,
+      _MODE_SET,
       episodes.ScheduledEpisodes(plan),
       config=dataclasses.replace(_ENDLESS, time_limit=0.3),
     )
@@ -895,7 +888,9 @@ class PrivilegedTest(parameterized.TestCase):
     np.testing.assert_allclose(first['countdown'], [[0.9], [0.6]], rtol=1e-6)
     np.testing.assert_allclose(last['countdown'], [[0.6], [0.3]], rtol=1e-6)
     np.testing.assert_array_equal(begun['countdown'], first['countdown'])
-    np.testing.assert_array_equal(begun['next_command'], _BOOK.latents[[1, 3]])
+    np.testing.assert_array_equal(
+      begun['next_command'], _MODE_SET.latents[[1, 3]]
+    )
 
 
 class ModelTest(parameterized.TestCase):

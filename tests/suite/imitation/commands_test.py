@@ -4,8 +4,8 @@ from absl.testing import absltest
 from absl.testing import parameterized
 import numpy as np
 
-from dmc_multimode.modes import codebook
 from dmc_multimode.modes import library
+from dmc_multimode.modes import mode_set
 from dmc_multimode.modes import reference
 from dmc_multimode.modes import schedule
 from dmc_multimode.suite.imitation import commands
@@ -45,7 +45,7 @@ _MOTIONS = (
 
 def _tracker(num_worlds: int = 1, max_knots: int = 3) -> commands.ModeTracker:
   return commands.ModeTracker(
-    _MOTIONS, codebook.one_hot(_MOTIONS), _TIMESTEP, num_worlds, max_knots
+    mode_set.one_hot(_MOTIONS), _TIMESTEP, num_worlds, max_knots
   )
 
 
@@ -173,19 +173,18 @@ class CommandTest(parameterized.TestCase):
   ) -> None:
     """Or, where commands need not come from the ground, has touched down."""
     motions = library.resolve('pi2')
-    bank = reference.ReferenceBank(motions)
+    known = mode_set.one_hot(motions)
+    bank = known.bank
     launch, count = bank.index('launch'), len(schedule.SWITCH_PHASES)
     plan = schedule.transitions(
-      bank,
+      known,
       np.full(count, launch),
       np.zeros(count, dtype=np.int64),
       np.zeros(count),
       np.array(schedule.SWITCH_PHASES),
       commands_from_ground,
     )
-    tracker = commands.ModeTracker(
-      motions, codebook.one_hot(motions), 0.03, count, 2
-    )
+    tracker = commands.ModeTracker(mode_set.one_hot(motions), 0.03, count, 2)
     tracker.reset(np.arange(count), plan, np.zeros(count), np.zeros(count))
     left = np.full(count, np.nan)
     for _ in range(40):
@@ -336,9 +335,7 @@ class RowsTest(parameterized.TestCase):
   def test_reference_of_some_worlds(self) -> None:
     motions = tuple(library.modes().values())
     count = len(motions)
-    tracker = commands.ModeTracker(
-      motions, codebook.one_hot(motions), 0.03, count, 1
-    )
+    tracker = commands.ModeTracker(mode_set.one_hot(motions), 0.03, count, 1)
     random = np.random.RandomState(0)
     tracker.reset(
       np.arange(count),
@@ -369,9 +366,7 @@ class RowsTest(parameterized.TestCase):
   )
   def test_airborne(self, name: str, phase: float, expected: bool) -> None:
     motions = tuple(library.modes().values())
-    tracker = commands.ModeTracker(
-      motions, codebook.one_hot(motions), 0.03, 2, 1
-    )
+    tracker = commands.ModeTracker(mode_set.one_hot(motions), 0.03, 2, 1)
     mode = tracker.bank.index(name)
     # The other world stands, whatever its phase.
     plan = schedule.single(np.array([tracker.bank.index('idle'), mode]))
@@ -400,9 +395,7 @@ class TakeOffsTest(parameterized.TestCase):
     self, name: str, phase: float, clock_rate: float, expected: bool
   ) -> None:
     motions = tuple(library.modes().values())
-    tracker = commands.ModeTracker(
-      motions, codebook.one_hot(motions), 0.03, 2, 1
-    )
+    tracker = commands.ModeTracker(mode_set.one_hot(motions), 0.03, 2, 1)
     # The other world stands, whatever its phase.
     index = tracker.bank.index
     plan = schedule.single(np.array([index('idle'), index(name)]), clock_rate)
@@ -459,11 +452,6 @@ class ResetTest(parameterized.TestCase):
     plan = schedule.from_knots(np.array([[_GO, _STAND, _GO]]), 0.5)
     with self.assertRaisesRegex(ValueError, 'max_knots'):
       tracker.reset(_FIRST, plan, np.zeros(1), np.zeros(1))
-
-  def test_rejects_a_codebook_of_other_modes(self) -> None:
-    other = codebook.one_hot(_MOTIONS[::-1])
-    with self.assertRaisesRegex(ValueError, 'codebook encodes'):
-      commands.ModeTracker(_MOTIONS, other, _TIMESTEP, 1, 1)
 
 
 if __name__ == '__main__':

@@ -9,8 +9,8 @@ from dm_control import composer
 import mujoco
 import numpy as np
 
-from dmc_multimode.modes import codebook
 from dmc_multimode.modes import library
+from dmc_multimode.modes import mode_set
 from dmc_multimode.modes import schedule
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import config
@@ -43,8 +43,7 @@ def _env(
     np.ones(1),
   )
   task = multimode_biped.make_task(
-    motions,
-    codebook.one_hot(motions),
+    mode_set.one_hot(motions),
     episodes.ScheduledEpisodes(plan),
     arena,
     task_config,

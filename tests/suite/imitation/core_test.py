@@ -15,8 +15,8 @@ import mujoco
 import numpy as np
 
 from dmc_multimode.arenas import terrain
-from dmc_multimode.modes import codebook
 from dmc_multimode.modes import library
+from dmc_multimode.modes import mode_set
 from dmc_multimode.modes import schedule
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
@@ -54,8 +54,7 @@ class _Starts:
     )
     self.modes = np.repeat(np.arange(len(_MOTIONS)), _PHASES)
     task = multimode_biped.make_task(
-      _MOTIONS,
-      codebook.one_hot(_MOTIONS),
+      mode_set.one_hot(_MOTIONS),
       episodes.ScheduledEpisodes(schedule.single(self.modes)),
       config=task_config,
     )
@@ -320,7 +319,7 @@ def _begun(
   )
   count = len(names)
   core = imitation_core.ImitationCore(
-    _MOTIONS, codebook.one_hot(_MOTIONS), task_config, count, 6, adaptive, 1
+    mode_set.one_hot(_MOTIONS), task_config, count, 6, adaptive, 1
   )
   modes, random_state = _modes(*names), np.random.RandomState(seed)
   ids = np.arange(count)

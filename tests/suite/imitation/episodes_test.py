@@ -5,27 +5,23 @@ from absl.testing import parameterized
 import numpy as np
 
 from dmc_multimode.modes import library
-from dmc_multimode.modes import reference
 from dmc_multimode.modes import schedule
 from dmc_multimode.suite.imitation import episodes
 from dmc_multimode.suite.imitation import mode_sampler
 
-
-def _bank() -> reference.ReferenceBank:
-  return reference.ReferenceBank(library.resolve('pi2'))
+_PI2 = library.mode_set('pi2')
 
 
 class TransitionEpisodesTest(parameterized.TestCase):
   def test_switch_times(self) -> None:
-    bank = _bank()
-    drawn = episodes.TransitionEpisodes(bank).sample(
+    drawn = episodes.TransitionEpisodes(_PI2).sample(
       np.arange(500), np.random.RandomState(0)
     )
     modes, starts = drawn.schedule.modes, drawn.schedule.starts
     np.testing.assert_array_equal(modes[:, 0], drawn.initial)
     np.testing.assert_array_equal(modes[:, 1], drawn.final)
-    cycles = starts[:, 1] / bank.durations[drawn.initial]
-    launch, leap = bank.index('launch'), bank.index('leap_forward')
+    cycles = starts[:, 1] / _PI2.bank.durations[drawn.initial]
+    launch, leap = _PI2.index('launch'), _PI2.index('leap_forward')
     waits = drawn.initial == leap
     level = (drawn.initial != launch) & ~waits
     self.assertEqual(
@@ -40,17 +36,16 @@ class TransitionEpisodesTest(parameterized.TestCase):
       set(np.round(cycles[~level & ~waits], 6)), {1.0, 1.25, 1.5, 1.75}
     )
     pairs = set(zip(drawn.initial, drawn.final, strict=True))
-    self.assertLen(pairs, len(bank) ** 2)
+    self.assertLen(pairs, len(_PI2) ** 2)
 
   def test_gaits_come_first(self) -> None:
     """A walk in place of 7 of 10 modes, for as long as was asked for."""
-    bank = _bank()
-    walk = bank.index('walk_forward')
+    walk = _PI2.index('walk_forward')
     configs = [
       mode_sampler.SamplingConfig(gait_steps=steps) for steps in (0, 1000)
     ]
     plain, first = (
-      episodes.TransitionEpisodes(bank, config) for config in configs
+      episodes.TransitionEpisodes(_PI2, config) for config in configs
     )
     draw = lambda initialiser: initialiser.sample(
       np.arange(4000), np.random.RandomState(0)
@@ -65,7 +60,7 @@ class TransitionEpisodesTest(parameterized.TestCase):
       np.testing.assert_array_equal(drawn.schedule.modes[:, 1], drawn.final)
       first.advance(500 if first.state()['steps'] == 0 else 499)
     # What is drawn by then does not depend on the share.
-    resumed = episodes.TransitionEpisodes(bank, configs[1])
+    resumed = episodes.TransitionEpisodes(_PI2, configs[1])
     resumed.restore(first.state())
     resumed.advance(1)
     first.advance(1)
@@ -73,38 +68,37 @@ class TransitionEpisodesTest(parameterized.TestCase):
       np.testing.assert_array_equal(draw(initialiser).final, draw(plain).final)
 
   def test_no_gait_to_come_first(self) -> None:
-    bank = reference.ReferenceBank(library.resolve('idle,hop_forward,launch'))
+    modes = library.mode_set('idle,hop_forward,launch')
     config = mode_sampler.SamplingConfig(gait_steps=1000)
-    drawn = episodes.TransitionEpisodes(bank, config).sample(
+    drawn = episodes.TransitionEpisodes(modes, config).sample(
       np.arange(300), np.random.RandomState(0)
     )
     self.assertLen(np.unique(drawn.initial), 3)
 
   def test_modes_in_focus(self) -> None:
     """Two modes in place of 4 of 10, when it was asked for."""
-    bank = _bank()
     config = mode_sampler.SamplingConfig(
       focus='launch, idle',
       focus_start=1000,
       focus_steps=2000,
       focus_share=0.4,
     )
-    initialiser = episodes.TransitionEpisodes(bank, config)
+    initialiser = episodes.TransitionEpisodes(_PI2, config)
     for expected in (1 / 4, 0.2 + 0.6 / 4, 1 / 4):
       drawn = initialiser.sample(np.arange(4000), np.random.RandomState(0))
       for modes in (drawn.initial, drawn.final):
         for name in ('launch', 'idle'):
-          share = float(np.mean(modes == bank.index(name)))
+          share = float(np.mean(modes == _PI2.index(name)))
           self.assertAlmostEqual(share, expected, delta=0.03)
       initialiser.advance(1000)
 
   def test_focus_on_what_is_not_there(self) -> None:
     config = mode_sampler.SamplingConfig(focus='fly')
     with self.assertRaisesRegex(ValueError, "Unknown mode 'fly'"):
-      episodes.TransitionEpisodes(_bank(), config)
+      episodes.TransitionEpisodes(_PI2, config)
 
   def test_one_seed_one_draw(self) -> None:
-    initialiser = episodes.TransitionEpisodes(_bank())
+    initialiser = episodes.TransitionEpisodes(_PI2)
     first, second = (
       initialiser.sample(np.arange(20), np.random.RandomState(3)).schedule
       for _ in range(2)
@@ -113,8 +107,7 @@ class TransitionEpisodesTest(parameterized.TestCase):
     np.testing.assert_array_equal(first.starts, second.starts)
 
   def test_learns_and_restores(self) -> None:
-    bank = _bank()
-    taught, other = (episodes.TransitionEpisodes(bank) for _ in range(2))
+    taught, other = (episodes.TransitionEpisodes(_PI2) for _ in range(2))
     uniform = other.probabilities()
     self.assertAlmostEqual(uniform['p/idle'], 0.25)
     self.assertAlmostEqual(uniform['p/idle->launch'], 0.25)

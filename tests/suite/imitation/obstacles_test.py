@@ -7,6 +7,7 @@ from absl.testing import parameterized
 import numpy as np
 
 from dmc_multimode.modes import library
+from dmc_multimode.modes import mode_set
 from dmc_multimode.modes import reference
 from dmc_multimode.suite.imitation import obstacles
 
@@ -24,7 +25,7 @@ def _draw(
 ) -> obstacles.Obstacles:
   """Many obstacles for one mode."""
   names = [motion.name for motion in motions]
-  return obstacles.ObstacleSource(motions).draw(
+  return obstacles.ObstacleSource(mode_set.one_hot(motions)).draw(
     np.full(_COUNT, names.index(name)),
     np.broadcast_to(np.asarray(ahead, dtype=np.float64), (_COUNT,)),
     np.random.RandomState(seed),
@@ -184,7 +185,7 @@ class DrawTest(_Case):
   def test_each_robot_meets_what_suits_its_mode(self) -> None:
     count = len(_MOTIONS)
     modes = np.random.RandomState(2).permutation(np.tile(np.arange(count), 50))
-    drawn = obstacles.ObstacleSource(_MOTIONS).draw(
+    drawn = obstacles.ObstacleSource(mode_set.one_hot(_MOTIONS)).draw(
       modes, np.zeros(len(modes)), np.random.RandomState(0)
     )
     of = lambda name: modes == _NAMES.index(name)
@@ -209,7 +210,7 @@ class DrawTest(_Case):
     self.assertFalse(np.array_equal(one.edge, other.edge))
 
   def test_nobody(self) -> None:
-    drawn = obstacles.ObstacleSource(_MOTIONS).draw(
+    drawn = obstacles.ObstacleSource(mode_set.one_hot(_MOTIONS)).draw(
       np.zeros(0, dtype=np.int64), np.zeros(0), np.random.RandomState(0)
     )
     self.assertEqual([field.shape for field in drawn], [(0,)] * 3)

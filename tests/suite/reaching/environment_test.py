@@ -44,8 +44,7 @@ def _assemble(
 ) -> reaching_env.ReachingEnvironment:
   """An environment of one's own track."""
   task = multimode_biped.make_task(
-    policy.motions,
-    policy.codebook,
+    policy.mode_set,
     episodes.ScheduledEpisodes(schedule.single(np.zeros(1))),
     arena,
     reaching.task_config(policy, config),
@@ -75,8 +74,7 @@ def _run(
 class _Puppet:
   """Stands still, and remembers what it saw."""
 
-  motions = library.resolve('pi2')
-  codebook = multimode_biped.library_codebook().subset(library.SETS['pi2'])
+  mode_set = library.mode_set('pi2')
   config = task_config.ImitationConfig()
 
   def __init__(self) -> None:
@@ -213,12 +211,12 @@ def test_policy_acts_on_the_new_command_at_once() -> None:
   seen = np.concatenate(puppet.seen)
   assert seen.shape == (30, 37)
   assert seen.dtype == np.float32
-  latents = puppet.codebook.latents
+  latents = puppet.mode_set.latents
   np.testing.assert_allclose(seen[:20, 2:6], latents[[_LEAP] * 20], rtol=1e-6)
   np.testing.assert_allclose(seen[20:, 2:6], latents[[_LAUNCH] * 10], rtol=1e-6)
   # A mode that runs already goes on; a new one begins.
   phase = np.arctan2(seen[:, 0], seen[:, 1]) / (2 * np.pi) % 1
-  duration = puppet.motions[_LEAP].duration
+  duration = puppet.mode_set.motions[_LEAP].duration
   np.testing.assert_allclose(phase[:20], np.arange(20) * 0.03 / duration, 1e-5)
   assert phase[20] == 0.0
 
@@ -245,7 +243,7 @@ def test_observation() -> None:
   np.testing.assert_allclose(second['height'], position[2:])
   np.testing.assert_allclose(second['joints_pos'], joints)
   np.testing.assert_array_equal(second['mode'], [0, 1, 0])
-  walk = _load_policy('quickstart').motions[_WALK]
+  walk = _load_policy('quickstart').mode_set.motions[_WALK]
   angle = 2 * np.pi * 0.6 / walk.duration
   np.testing.assert_allclose(
     second['clock'], [np.sin(angle), np.cos(angle)], atol=1e-9
@@ -302,12 +300,8 @@ def test_action(action: Any) -> None:
 def test_no_policy() -> None:
   with pytest.raises(FileNotFoundError, match="'pi9'.*pi2.*quickstart"):
     _load('gap', policy='pi9')
-  with pytest.raises(TypeError, match='has no codebook, config, select_action'):
-    _load('gap', policy=types.SimpleNamespace(motions=_Puppet.motions))
-  puppet = _Puppet()
-  puppet.motions = ()
-  with pytest.raises(ValueError, match='at least one mode'):
-    _load('gap', policy=puppet)
+  with pytest.raises(TypeError, match='has no config, select_action'):
+    _load('gap', policy=types.SimpleNamespace(mode_set=_Puppet.mode_set))
 
 
 @pytest.mark.parametrize(

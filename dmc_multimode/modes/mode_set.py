@@ -1,0 +1,75 @@
+"""A set of modes: their reference motions and what a policy calls them by.
+
+Tasks, policies, plans and trainings refer to modes by their index in one.
+"""
+
+import dataclasses
+from typing import Sequence
+
+import numpy as np
+
+from dmc_multimode.modes import codebook as codebook_lib
+from dmc_multimode.modes import reference
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ModeSet:
+  """M modes in the order of their indices.
+
+  Attributes:
+    motions: the reference motions, length M.
+    codebook: the latents of the same modes, in the same order.
+    bank: the motions, stacked to be evaluated for a batch of worlds.
+
+  Raises:
+    ValueError: there is no mode, two have the same name, or the codebook is of
+      other modes.
+  """
+
+  motions: tuple[reference.ReferenceMotion, ...]
+  codebook: codebook_lib.Codebook
+  bank: reference.ReferenceBank = dataclasses.field(init=False, repr=False)
+
+  def __post_init__(self) -> None:
+    object.__setattr__(self, 'motions', tuple(self.motions))
+    # Stacking takes a while, so that it is done once for all users of the set.
+    object.__setattr__(self, 'bank', reference.ReferenceBank(self.motions))
+    if self.codebook.names != self.names:
+      raise ValueError(
+        f'The codebook encodes {self.codebook.names}, the motions are '
+        f'{self.names}.'
+      )
+
+  def __len__(self) -> int:
+    return len(self.motions)
+
+  @property
+  def names(self) -> tuple[str, ...]:
+    """Names of the modes, length M."""
+    return self.bank.names
+
+  @property
+  def latents(self) -> np.ndarray:
+    """Command vectors, without unit, float32, [M, n_m]."""
+    return self.codebook.latents
+
+  @property
+  def latent_dim(self) -> int:
+    """Length n_m of a command vector."""
+    return self.codebook.latent_dim
+
+  def index(self, name: str) -> int:
+    """Returns a mode's index; raises ValueError naming the known modes."""
+    return self.bank.index(name)
+
+  def subset(self, names: Sequence[str]) -> 'ModeSet':
+    """Returns the modes of `names`, in their order."""
+    motions = tuple(self.motions[self.index(name)] for name in names)
+    return ModeSet(motions, self.codebook.subset(names))
+
+
+def one_hot(motions: Sequence[reference.ReferenceMotion]) -> ModeSet:
+  """Returns the baseline without an encoder: n_m = M, one unit a mode."""
+  names = tuple(motion.name for motion in motions)
+  latents = np.eye(len(names), dtype=np.float32)
+  return ModeSet(tuple(motions), codebook_lib.Codebook(names, latents))
