@@ -5,7 +5,6 @@ import json
 import pathlib
 from typing import Any, Mapping
 
-import threadpoolctl
 import torch
 
 from dmc_multimode.agents import distributed
@@ -249,9 +248,7 @@ def build(
       matters.
   """
   # Two threads at once, see `agents.pair`, each with its share of all.
-  threads = max(config.threads // 2, 1)
-  torch.set_num_threads(threads)
-  threadpoolctl.threadpool_limits(threads, user_api='blas')  # Of numpy.
+  torch.set_num_threads(max(config.threads // 2, 1))
   environment = _make_environment(config, mode_set, communicator)
   builder = builder_lib.PPOBuilder(
     config.ppo,

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import threadpoolctl
 import torch
 
 from dmc_multimode import pretrained
@@ -40,14 +39,6 @@ def _build(**changes: Any) -> setup.Run:
     )
   finally:
     torch.set_num_threads(threads)
-
-
-def test_numpy_multiplies_by_as_many_threads_as_torch() -> None:
-  with threadpoolctl.threadpool_limits(2, user_api='blas'):
-    _build()
-    pools = threadpoolctl.threadpool_info()
-  blas = [p['num_threads'] for p in pools if p['user_api'] == 'blas']
-  assert set(blas) == {1}
 
 
 @pytest.mark.parametrize('privileged', [False, True])

@@ -8,7 +8,6 @@ import torch
 from torch import nn
 
 from dmc_multimode.agents import distributed
-from dmc_multimode.agents.ppo import perceptron
 
 _VARIANCE_FLOOR = 1e-4
 ACTIVATIONS = {'elu': nn.ELU, 'silu': nn.SiLU, 'tanh': nn.Tanh}
@@ -150,16 +149,12 @@ class ActorCritic(nn.Module):
     return self.policy(self.normaliser(seen))
 
   def mean(self, seen: torch.Tensor) -> torch.Tensor:
-    """Returns the mean actions for normalised [..., D + P], [..., A].
-
-    Faster than `act` and as exact, but not the same to the bit: the rounding of
-    a row may depend on the others.
-    """
-    return perceptron.apply(self.policy, seen[..., : self.observation_size])
+    """Returns the mean actions for normalised [..., D + P], [..., A]."""
+    return self.policy(seen[..., : self.observation_size])
 
   def values(self, seen: torch.Tensor) -> torch.Tensor:
     """Returns the values of normalised [..., D + P], [...]."""
-    return perceptron.apply(self.value, seen).squeeze(-1)
+    return self.value(seen).squeeze(-1)
 
 
 class Sample(NamedTuple):

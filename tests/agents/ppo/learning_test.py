@@ -15,7 +15,6 @@ from dmc_multimode.agents.ppo import builder
 from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.agents.ppo import learning
 from dmc_multimode.agents.ppo import networks
-from dmc_multimode.agents.ppo import perceptron
 from dmc_multimode.agents.ppo import symmetry
 from dmc_multimode.modes import library
 from dmc_multimode.modes import schedule
@@ -119,24 +118,6 @@ def test_a_step_raises_the_surrogate_of_its_own_data() -> None:
   # Every sample once more: the policy has moved towards what paid.
   again = learner.step(rollouts)
   assert again['loss/policy'] < -0.02
-
-
-@pytest.mark.usefixtures('library')
-@pytest.mark.parametrize('parallel', [False, True])
-def test_passes_by_hand_teach_what_torchs_do(
-  parallel: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-  learner, torchs = _learner(parallel), _learner(parallel)
-  for seed in range(3):
-    rollouts = _rollouts(torchs.network, seed)
-    learner.step(rollouts)
-    with monkeypatch.context() as patch:
-      patch.setattr(perceptron, 'apply', lambda network, rows: network(rows))
-      torchs.step(rollouts)
-  for found, expected in zip(
-    learner.network.parameters(), torchs.network.parameters(), strict=True
-  ):
-    torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-5)
 
 
 def test_policy_learns_to_reach() -> None:
