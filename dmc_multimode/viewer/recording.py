@@ -113,10 +113,10 @@ def film(
   )
   steps: list[robot.Step] = []
   captions = Captions(rollout)
-  with bar, video.make_writer(out, config.width, config.height, rate) as file:
+  with bar, video.open_writer(out, rate) as append:
     for step in bar:
       steps.append(step)
-      file.write(captions.draw(camera.render(), step))
+      append(captions.draw(camera.render(), step))
   outcomes = rollout_lib.outcomes(rollout_config, start, steps)
   return Filmed(outcomes, len(steps))
 

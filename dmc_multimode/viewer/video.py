@@ -1,20 +1,14 @@
-"""Videos: H.264 by PyAV, which brings its own codecs, and GIF by Pillow."""
+"""Videos: H.264 by PyAV, which brings its own codecs, and GIFs by Pillow."""
 
+import contextlib
 import fractions
-import io
 import math
 import os
 import pathlib
 import tempfile
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Callable, Iterator, Sequence
 
-import av
-import av.video.stream
 import numpy as np
-import PIL.Image
-
-from dmc_multimode.utils import files
 
 SUFFIX, GIF_SUFFIX = '.mp4', '.gif'
 MAX_SIDE = 4096  # Pixels; beyond it few players go.
@@ -26,8 +20,11 @@ _GIF_RATE = 12.5  # Frames per second at most: a GIF grows with each of them.
 _GIF_COLOURS = 64  # Of each frame.
 _GIF_TICK = 0.01  # Seconds: what durations in a GIF are multiples of.
 
+# Appends a frame, uint8 [height, width, 3] in RGB.
+Append = Callable[[np.ndarray], None]
 
-def check_path(path: str | None) -> pathlib.Path:
+
+def check_path(path: str | os.PathLike[str] | None) -> pathlib.Path:
   """Returns where a video goes, without creating anything that stays.
 
   Raises:
@@ -59,154 +56,89 @@ def check_size(width: int, height: int) -> None:
       )
 
 
-class Writer(Protocol):
-  """Takes frames; see `make_writer`."""
-
-  def __enter__(self) -> Self:
-    """Begins the file."""
-
-  def write(self, frame: np.ndarray) -> None:
-    """Appends a frame, uint8 [height, width, 3] in RGB."""
-
-  def __exit__(
-    self,
-    kind: type[BaseException] | None,
-    error: BaseException | None,
-    traceback: TracebackType | None,
-  ) -> None:
-    """Ends the file; after an exception, as if there had never been one."""
-
-
-def make_writer(
-  path: pathlib.Path, width: int, height: int, frame_rate: float
-) -> Writer:
-  """Returns what writes a video of the kind that the path's suffix names.
-
-  Args:
-    path: of the video, checked by `check_path`; missing folders are made.
-    width, height: pixels, even.
-    frame_rate: frames per second.
-  """
-  if path.suffix.lower() == GIF_SUFFIX:
-    return GifWriter(path, frame_rate)
-  return VideoWriter(path, width, height, frame_rate)
-
-
-class VideoWriter:
+@contextlib.contextmanager
+def open_writer(path: pathlib.Path, frame_rate: float) -> Iterator[Append]:
   """Writes a video beside its place and moves it there at the end.
 
-  A context manager: leaving it by an exception removes what was written, so
-  that `path` holds what it held before.
+  Leaving the context by an exception removes what was written, so that `path`
+  holds what it held before.
+
+  Args:
+    path: of the video, checked by `check_path`; its suffix names the kind, and
+      missing folders are made.
+    frame_rate: frames per second.
+
+  Yields:
+    Appends a frame; all are of one even size.
   """
-
-  def __init__(
-    self, path: pathlib.Path, width: int, height: int, frame_rate: float
-  ):
-    """Prepares a video; nothing is written before it is entered.
-
-    Args:
-      path: of the video; missing folders are made.
-      width, height: pixels, even.
-      frame_rate: frames per second.
-    """
-    self._path = path
-    self._temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
-    self._width, self._height = width, height
-    self._rate = fractions.Fraction(frame_rate).limit_denominator(1000)
-
-  def __enter__(self) -> Self:
-    self._path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-      self._container = av.open(
-        str(self._temporary), 'w', 'mp4', options=_CONTAINER_OPTIONS
-      )
-      stream = self._container.add_stream(
-        _CODEC, rate=self._rate, options=dict(_OPTIONS)
-      )
-      assert isinstance(stream, av.video.stream.VideoStream)
-      stream.width, stream.height = self._width, self._height
-      stream.pix_fmt = 'yuv420p'
-      self._stream = stream
-    except BaseException:
-      self._temporary.unlink(missing_ok=True)
-      raise
-    return self
-
-  def write(self, frame: np.ndarray) -> None:
-    """Appends a frame, uint8 [height, width, 3] in RGB."""
-    picture = av.VideoFrame.from_ndarray(frame, format='rgb24')
-    self._container.mux(self._stream.encode(picture))
-
-  def __exit__(
-    self,
-    kind: type[BaseException] | None,
-    error: BaseException | None,
-    traceback: TracebackType | None,
-  ) -> None:
-    try:
-      if kind is None:
-        self._container.mux(self._stream.encode())  # What the encoder holds.
-      self._container.close()
-      if kind is None:
-        os.replace(self._temporary, self._path)
-    finally:
-      self._temporary.unlink(missing_ok=True)
+  path.parent.mkdir(parents=True, exist_ok=True)
+  temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
+  kind = _write_gif if path.suffix.lower() == GIF_SUFFIX else _write_mp4
+  try:
+    with kind(temporary, frame_rate) as append:
+      yield append
+    os.replace(temporary, path)
+  finally:
+    temporary.unlink(missing_ok=True)
 
 
-class GifWriter:
+@contextlib.contextmanager
+def _write_mp4(path: pathlib.Path, frame_rate: float) -> Iterator[Append]:
+  # Codecs take a while to load: only who encodes waits for them.
+  import av
+
+  rate = fractions.Fraction(frame_rate).limit_denominator(1000)
+  with av.open(str(path), 'w', 'mp4', options=_CONTAINER_OPTIONS) as container:
+    stream = container.add_stream(_CODEC, rate=rate, options=dict(_OPTIONS))
+    stream.pix_fmt = 'yuv420p'
+
+    def append(frame: np.ndarray) -> None:
+      if not stream.codec_context.is_open:
+        stream.height, stream.width = frame.shape[:2]
+      picture = av.VideoFrame.from_ndarray(frame, format='rgb24')
+      container.mux(stream.encode(picture))
+
+    yield append
+    if not stream.codec_context.is_open:
+      raise ValueError('There is no frame to write.')
+    container.mux(stream.encode())  # What the encoder holds.
+
+
+@contextlib.contextmanager
+def _write_gif(path: pathlib.Path, frame_rate: float) -> Iterator[Append]:
   """Writes a GIF that repeats for ever, for pages that play no videos.
 
-  A context manager like `VideoWriter`. Of frames that come faster than a GIF
-  bears, only every second, third, ... is kept.
+  Of frames that come faster than a GIF bears, only every second, third, ... is
+  kept.
   """
+  import PIL.Image
 
-  def __init__(self, path: pathlib.Path, frame_rate: float):
-    """Prepares a GIF; nothing is written before the end.
+  stride, shown = math.ceil(frame_rate / _GIF_RATE), 0
+  kept: list[PIL.Image.Image] = []
 
-    Args:
-      path: of the GIF; missing folders are made.
-      frame_rate: frames per second that `write` gets.
-    """
-    self._path, self._period = path, 1 / frame_rate
-    self._stride = math.ceil(frame_rate / _GIF_RATE)
-    self._count = 0
-    self._kept: list[PIL.Image.Image] = []
-
-  def __enter__(self) -> Self:
-    self._path.parent.mkdir(parents=True, exist_ok=True)
-    return self
-
-  def write(self, frame: np.ndarray) -> None:
-    """Takes a frame, uint8 [height, width, 3] in RGB."""
-    if self._count % self._stride == 0:
-      picture = PIL.Image.fromarray(frame)
+  def append(frame: np.ndarray) -> None:
+    nonlocal shown
+    if shown % stride == 0:
       plain = PIL.Image.Dither.NONE  # Noise is what a GIF compresses worst.
-      self._kept.append(picture.quantize(_GIF_COLOURS, dither=plain))
-    self._count += 1
+      picture = PIL.Image.fromarray(frame)
+      kept.append(picture.quantize(_GIF_COLOURS, dither=plain))
+    shown += 1
 
-  def __exit__(
-    self,
-    kind: type[BaseException] | None,
-    error: BaseException | None,
-    traceback: TracebackType | None,
-  ) -> None:
-    if kind is not None or not self._kept:
-      return
-    content = io.BytesIO()
-    first, *others = self._kept
-    first.save(
-      content,
-      'gif',
-      save_all=True,
-      append_images=others,
-      duration=self._durations(),
-      loop=0,
-    )
-    files.write(self._path, content.getvalue())
+  yield append
+  if not kept:
+    raise ValueError('There is no frame to write.')
+  starts = np.minimum(stride * np.arange(len(kept) + 1), shown) / frame_rate
+  kept[0].save(
+    path,
+    'gif',
+    save_all=True,
+    append_images=kept[1:],
+    duration=_durations(starts),
+    loop=0,
+  )
 
-  def _durations(self) -> list[int]:
-    """Returns how long each kept frame is shown, ms, rounded without drift."""
-    shown = self._stride * np.arange(len(self._kept) + 1)
-    times = self._period * np.minimum(shown, self._count)
-    ticks = np.diff(np.round(times / _GIF_TICK).astype(int))
-    return (round(1000 * _GIF_TICK) * np.maximum(ticks, 1)).tolist()
+
+def _durations(times: np.ndarray) -> Sequence[int]:
+  """Returns ms from each of the times, s, to the next, rounded without drift."""
+  ticks = np.diff(np.round(times / _GIF_TICK).astype(int))
+  return (round(1000 * _GIF_TICK) * np.maximum(ticks, 1)).tolist()
