@@ -26,7 +26,6 @@ import tqdm
 from benchmarks import common
 from dmc_multimode import pretrained
 from dmc_multimode.agents import distributed
-from dmc_multimode.arenas import track
 from dmc_multimode.bin import app
 from dmc_multimode.experiments import ranks
 from dmc_multimode.planner import beam_search
@@ -58,15 +57,11 @@ def solve(
   threads: int = 0,
 ) -> Row:
   """Returns what a planner finds on a track, with threads or all cores."""
-  make_arena = lambda: track.make(name)
-  solver = planning.Solver(policy, make_arena, config, planner, threads)
-  found = solver.solve()
+  found = planning.Solver(policy, name, config, planner, threads).solve()
   return {
     'track': name,
     'seed': config.seed,
-    'planner': 'beam'
-    if isinstance(planner, beam_search.BeamConfig)
-    else ('q_learning'),
+    'planner': planning.name_of(planner),
     'success': found.success,
     'return': found.episode_return,
     'solve_seconds': found.solve_seconds,

@@ -19,7 +19,6 @@ system. Ends with 3 where something grew or warned.
 
 import contextlib
 import gc
-import io
 import os
 import pathlib
 import tempfile
@@ -175,18 +174,15 @@ def soak_recordings() -> Row:
   """Makes one video after the other."""
   from dmc_multimode import pretrained
   from dmc_multimode.viewer import recording
-  from dmc_multimode.viewer import rollout
 
   policy = pretrained.load(_POLICY.value)
-  what = rollout.RolloutConfig((policy.mode_set.names[0],), (0.12,))
+  what = [(policy.mode_set.names[0], 0.12)]
   config = recording.RecordingConfig(width=_SIZE, height=_SIZE)
   with tempfile.TemporaryDirectory() as folder:
     out = pathlib.Path(folder) / 'video.mp4'
 
     def advance() -> float:
-      quiet = io.StringIO()
-      with contextlib.redirect_stdout(quiet), contextlib.redirect_stderr(quiet):
-        recording.record(policy, what, config, out)
+      recording.record(policy, what, out=out, config=config, quiet=True)
       if not out.stat().st_size:
         raise ValueError('An empty video.')
       out.unlink()

@@ -11,16 +11,12 @@ The translucent box is the reference. A robot that falls is recorded on, with
 the cause in the frame, unless --terminate is given.
 """
 
-import pathlib
-from typing import Any, Sequence
+from typing import Sequence
 
 from absl import flags
 
+from dmc_multimode import viewer
 from dmc_multimode.bin import app
-from dmc_multimode.modes import schedule
-from dmc_multimode.planner import plan as plan_lib
-from dmc_multimode.viewer import gl
-from dmc_multimode.viewer import video
 
 _POLICY = flags.DEFINE_string(
   'policy', None, 'Name of a shipped policy, or folder of a policy or a run.'
@@ -57,76 +53,38 @@ _SLOW_MOTION = flags.DEFINE_float('slow_motion', 1.0, 'Times slower than life.')
 
 
 def main(argv: Sequence[str]) -> None:
-  """Checks the input, then rolls out and draws; `argv` holds no flags."""
+  """Films and tells how each command went; `argv` holds no flags."""
   del argv
-  what = _planned(_PLAN.value) if _PLAN.value else _scheduled()
-  policy, out = _checked_paths()
-  gl.choose_backend()
-  # These import dm_control, which reads the choice.
-  from dmc_multimode import pretrained
-  from dmc_multimode.viewer import recording
-  from dmc_multimode.viewer import rollout
-
-  recording.record(
-    pretrained.load(policy),
-    rollout.RolloutConfig(
-      **what,
-      clock_rate=_CLOCK_RATE.value,
-      physics_timestep=_PHYSICS_TIMESTEP.value,
-      terminate=_TERMINATE.value,
-    ),
-    recording.RecordingConfig(
+  if not _POLICY.value:
+    raise ValueError('Say which policy to record: --policy=NAME_OR_FOLDER.')
+  for name in ('schedule', 'arena', 'seed', 'clock_rate'):
+    if _PLAN.value and flags.FLAGS[name].present:
+      raise ValueError(f'--plan says what --{name} would: give one of them.')
+  recording = viewer.record(
+    _POLICY.value,
+    None if _PLAN.value else _SCHEDULE.value,
+    _PLAN.value,
+    _OUT.value,
+    _ARENA.value,
+    _SEED.value,
+    viewer.RecordingConfig(
       camera=_CAMERA.value,
       width=_WIDTH.value,
       height=_HEIGHT.value,
       ghost=_GHOST.value,
       slow_motion=_SLOW_MOTION.value,
     ),
-    out,
+    clock_rate=_CLOCK_RATE.value,
+    physics_timestep=_PHYSICS_TIMESTEP.value,
+    terminate=_TERMINATE.value,
   )
-
-
-def _scheduled() -> dict[str, Any]:
-  """Returns the part of the roll-out that --schedule and its kin say."""
-  names, durations = schedule.parse(_SCHEDULE.value)
-  return {
-    'modes': tuple(names),
-    'durations': tuple(durations),
-    'arena': _ARENA.value,
-    'seed': _SEED.value,
-  }
-
-
-def _planned(plan: str) -> dict[str, Any]:
-  """Returns the same from the file that --plan names.
-
-  Raises:
-    FileNotFoundError: there is none.
-    ValueError: it holds no plan, or other flags say the same things.
-  """
-  for name in ('schedule', 'arena', 'seed', 'clock_rate'):
-    if flags.FLAGS[name].present:
-      raise ValueError(f'--plan says what --{name} would: give one of them.')
-  values = plan_lib.read(pathlib.Path(plan))
-  names, durations = plan_lib.from_dict(values).segments()
-  return {
-    'modes': tuple(names),
-    'durations': tuple(durations),
-    **plan_lib.course(values)._asdict(),
-    'imitation': False,
-  }
-
-
-def _checked_paths() -> tuple[str, pathlib.Path]:
-  """Returns policy and video; raises before anything takes long."""
-  if not _POLICY.value:
-    raise ValueError('Say which policy to record: --policy=NAME_OR_FOLDER.')
-  video.check_size(_WIDTH.value, _HEIGHT.value)
-  return _POLICY.value, video.check_path(_OUT.value)
+  for outcome in recording.outcomes:
+    print(outcome)
+  print(f'wrote {_OUT.value} ({recording.steps} frames)')
 
 
 def cli() -> None:
-  """Runs the binary."""
+  """Runs as a console script."""
   app.run(main)
 
 

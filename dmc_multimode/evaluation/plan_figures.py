@@ -1,40 +1,30 @@
 """The paper's figure of a plan: modes and height over time, and a side view."""
 
-from typing import Any, Sequence
+from typing import Any
 
 import matplotlib.figure
 import numpy as np
 
 from dmc_multimode.arenas import terrain as terrain_lib
+from dmc_multimode.arenas import track
 from dmc_multimode.evaluation import figures
 from dmc_multimode.planner import plan as plan_lib
-from dmc_multimode.planner import pushes as pushes_lib
 
 _MARGIN = 0.5  # Metres of track before and after the path.
 _DEPTH = 0.1  # Metres of ground that are shown below the lowest.
 
 
-def draw(
-  plan: plan_lib.ModePlan,
-  path: np.ndarray,
-  timestep: float,
-  terrain: terrain_lib.Terrain,
-  pushes: Sequence[pushes_lib.Push] = (),
-) -> matplotlib.figure.Figure:
-  """Draws a plan and where it led to.
-
-  Args:
-    plan: which mode when.
-    path: of the trunk after every control step, world metres, [T, 3].
-    timestep: seconds of a control step.
-    terrain: that it crosses, a batch of one.
-    pushes: that the robot met, drawn where they happened in time.
-  """
+def draw(found: plan_lib.PlanResult) -> matplotlib.figure.Figure:
+  """Draws a plan and where it led to; pushes where they happened in time."""
+  course = found.course
+  terrain = track.make(course.arena, sizes=course.sizes).generate(
+    np.random.RandomState(course.seed)
+  )
   drawn, axes = figures.empty(2, 1, 8.0, 2.6)
-  _draw_time(axes[0, 0], plan, path, timestep, terrain)
-  for push in pushes:
+  _draw_time(axes[0, 0], found.plan, found.path, terrain)
+  for push in course.pushes:
     axes[0, 0].axvline(push.time, color='C1', linestyle='--')
-  _draw_side(axes[1, 0], path, terrain)
+  _draw_side(axes[1, 0], found.path, terrain)
   return drawn
 
 
@@ -42,7 +32,6 @@ def _draw_time(
   axis: Any,
   plan: plan_lib.ModePlan,
   path: np.ndarray,
-  timestep: float,
   terrain: terrain_lib.Terrain,
 ) -> None:
   """Modes, height of the trunk and the ground under it over time."""
@@ -53,7 +42,7 @@ def _draw_time(
   axis.set_yticks(range(len(names)), names)
   axis.set(xlabel='time (s)', ylim=(-0.5, len(names) - 0.5))
   axis.tick_params(axis='y', colors='C0')
-  times = timestep * np.arange(1, len(path) + 1)
+  times = np.linspace(0.0, plan.duration, len(path) + 1)[1:]
   rows = terrain_lib.Terrain(
     *(np.repeat(field, len(path), axis=0) for field in terrain)
   )

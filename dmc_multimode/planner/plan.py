@@ -1,10 +1,15 @@
-"""Mode plans: a zero-order spline of modes over knots (Sec. II-E)."""
+"""Mode plans: a zero-order spline of modes over knots, and their files.
+
+The plans are those of Krishna and Nguyen, Sec. II-E: at each of k knots, dt
+seconds apart, one mode is commanded, and it holds to the next.
+"""
 
 import dataclasses
 import math
+import os
 import pathlib
 import reprlib
-from typing import Any, Mapping, NamedTuple, Sequence
+from typing import Any, Mapping, NamedTuple, Self, Sequence
 
 import numpy as np
 
@@ -89,14 +94,133 @@ class Course(NamedTuple):
   Attributes:
     arena: name of the track.
     sizes: of the track, metres, where they are not its defaults.
-    seed: of the track, if it is random.
+    seed: of the track, if it is random, and of the initial state's noise.
     pushes: that the robot met.
   """
 
   arena: str
-  sizes: Mapping[str, float]
-  seed: int
+  sizes: Mapping[str, float] = {}
+  seed: int = 0
   pushes: tuple[pushes_lib.Push, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class PlanFile:
+  """A plan with its course: reads and writes what is on disk.
+
+  Attributes:
+    plan: which mode when.
+    course: the track, and pushes at knots of the plan.
+    details: what else the file tells, JSON-able: where the plan led to, and how
+      it was found.
+  """
+
+  plan: ModePlan
+  course: Course
+  details: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+  def to_dict(self) -> dict[str, Any]:
+    """Returns the JSON-able values of the file."""
+    return {
+      **self.details,
+      'plan': list(self.plan.modes),
+      'knots': len(self.plan.modes),
+      'dt': self.plan.knot_duration,
+      'arena': self.course.arena,
+      'sizes': dict(self.course.sizes),
+      'seed': self.course.seed,
+      'pushes': pushes_lib.to_list(self.course.pushes),
+    }
+
+  @classmethod
+  def from_dict(cls, values: Any) -> Self:
+    """Returns what `to_dict` was called of.
+
+    Raises:
+      ValueError: a value is missing or of the wrong kind, the number of knots
+        is not that of the modes, or a push is not at one of them.
+    """
+    plan = _read_plan(values)
+    course = _read_course(values)
+    pushes_lib.by_knot(course.pushes, len(plan.modes), plan.knot_duration)
+    known = {'plan', 'knots', 'dt', *Course._fields}
+    rest = {key: value for key, value in values.items() if key not in known}
+    return cls(plan, course, rest)
+
+  def write(self, path: str | os.PathLike[str]) -> None:
+    """Writes the file, whole or not at all; missing folders are made."""
+    path = pathlib.Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    files.write_json(path, self.to_dict())
+
+  @classmethod
+  def read(cls, path: str | os.PathLike[str]) -> Self:
+    """Reads a file.
+
+    Raises:
+      FileNotFoundError: there is none.
+      ValueError: it holds no plan and its course.
+    """
+    path = pathlib.Path(path)
+    if not path.is_file():
+      raise FileNotFoundError(f'There is no plan {path}.')
+    values = files.read_json(path, _MAX_BYTES)
+    try:
+      return cls.from_dict(values)
+    except ValueError as error:
+      raise ValueError(f'{path}: {error}') from error
+
+
+@dataclasses.dataclass(frozen=True)
+class PlanResult:
+  """A plan and what it led to, by itself in one world.
+
+  Attributes:
+    plan: the best plan that was found, or what was commanded on the way.
+    course: what it was made for.
+    goal: of the trunk, world metres, [3].
+    success: whether the robot stands at the goal in the end and never fell.
+    episode_return: sum of exp(-|goal - p|) over the control steps.
+    path: of the trunk after every control step, world metres, [T, 3].
+    solve_seconds: from the first roll-out to the last.
+    rollouts: plans that the searches tried; a beam search tries its parts.
+    control_steps: of all worlds that were searched in or tried in, together.
+    origin: how it was found, JSON-able: planner, policy and the like.
+  """
+
+  plan: ModePlan
+  course: Course
+  goal: tuple[float, float, float]
+  success: bool
+  episode_return: float
+  path: np.ndarray
+  solve_seconds: float
+  rollouts: int
+  control_steps: int
+  origin: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+  @property
+  def final_position(self) -> np.ndarray:
+    """Of the trunk, world metres, [3]."""
+    return self.path[-1]
+
+  def file(self) -> PlanFile:
+    """Returns what is kept of it on disk."""
+    details = {
+      'success': self.success,
+      'final_position': self.final_position.tolist(),
+      'goal': list(self.goal),
+      'return': self.episode_return,
+      'solve_seconds': self.solve_seconds,
+      'rollouts': self.rollouts,
+      'control_steps': self.control_steps,
+      **self.origin,
+    }
+    return PlanFile(self.plan, self.course, details)
+
+  def save(self, path: str | os.PathLike[str]) -> None:
+    """Writes the plan's file; see `PlanFile.write`."""
+    self.file().write(path)
 
 
 def from_indices(
@@ -108,22 +232,8 @@ def from_indices(
   return ModePlan(tuple(names[int(i)] for i in indices), knot_duration)
 
 
-def to_dict(plan: ModePlan) -> dict[str, Any]:
-  """Returns the plan as JSON-able values."""
-  return {
-    'plan': list(plan.modes),
-    'knots': len(plan.modes),
-    'dt': plan.knot_duration,
-  }
-
-
-def from_dict(values: Mapping[str, Any]) -> ModePlan:
-  """Returns what `to_dict` was given; other keys are ignored.
-
-  Raises:
-    ValueError: a value is missing or of the wrong kind, or the number of knots
-      is not that of the modes.
-  """
+def _read_plan(values: Any) -> ModePlan:
+  """Returns the plan that the content of a file tells."""
   try:
     modes, knots, dt = values['plan'], values['knots'], values['dt']
   except (KeyError, TypeError) as error:
@@ -143,13 +253,8 @@ def from_dict(values: Mapping[str, Any]) -> ModePlan:
   return plan
 
 
-def course(values: Mapping[str, Any]) -> Course:
-  """Returns what the content of a plan file says about its track and pushes.
-
-  Raises:
-    ValueError: something is missing or of the wrong kind, or a push is not at
-      one of the plan's knots.
-  """
+def _read_course(values: Mapping[str, Any]) -> Course:
+  """Returns what the content of a file tells about track and pushes."""
   arena, sizes, seed = (values.get(key) for key in ('arena', 'sizes', 'seed'))
   if (
     not isinstance(arena, str)
@@ -159,24 +264,5 @@ def course(values: Mapping[str, Any]) -> Course:
     or seed < 0
   ):
     raise ValueError('The plan does not say for which arena, sizes and seed.')
-  plan = from_dict(values)
   pushes = pushes_lib.from_list(values.get('pushes', []))
-  pushes_lib.by_knot(pushes, len(plan.modes), plan.knot_duration)
   return Course(arena, sizes, seed, pushes)
-
-
-def read(path: pathlib.Path) -> dict[str, Any]:
-  """Returns the content of a plan file; its plan is known to be one.
-
-  Raises:
-    FileNotFoundError: there is no such file.
-    ValueError: it holds no plan.
-  """
-  if not path.is_file():
-    raise FileNotFoundError(f'There is no plan {path}.')
-  values = files.read_json(path, _MAX_BYTES)
-  try:
-    from_dict(values)
-  except ValueError as error:
-    raise ValueError(f'{path}: {error}') from error
-  return values

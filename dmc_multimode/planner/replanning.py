@@ -6,22 +6,126 @@ it plans again. As long as the rest of the former plan still succeeds by itself,
 it is kept: then nothing unexpected has happened.
 """
 
-from typing import Sequence
+import contextlib
+import dataclasses
+import os
+from typing import Any, Iterator, Mapping, Sequence
 
 import numpy as np
+import tqdm
 
+from dmc_multimode.arenas import track
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.planner import solver as planning
+from dmc_multimode.suite.reaching import environment as reaching_env
+from dmc_multimode.suite.reaching import problem as reaching
 
 
 def solve(
+  policy: str | os.PathLike[str] | reaching.Policy,
+  arena: str = 'gap_block',
+  seed: int = 0,
+  problem: reaching.ReachingConfig | None = None,
+  sizes: Mapping[str, float] | None = None,
+  planner: str | planning.PlannerConfig = 'beam',
+  pushes: Sequence[pushes_lib.Push] = (),
+  replan_every: int = 0,
+  num_threads: int = 0,
+  quiet: bool = False,
+) -> plan_lib.PlanResult:
+  """Plans a way across a track, and maybe again on the way.
+
+  Args:
+    policy: name of a shipped one, a folder, or what acts like one.
+    arena: name of the track.
+    seed: of the track, if it is random, and of the initial state's noise.
+    problem: goal, knots and seed; by default those of the track, and `seed`.
+    sizes: of the track, metres, where they are not its defaults.
+    planner: a name from `solver.PLANNERS`, or a configuration.
+    pushes: that the robot meets and no planner knows of, at knots.
+    replan_every: knots after which to plan again; 0 for never, an open loop.
+    num_threads: of the physics; 0 takes every core.
+    quiet: hides the progress bar.
+
+  Returns:
+    The best plan, whether it succeeds or not.
+
+  Raises:
+    FileNotFoundError, TypeError: that is no policy.
+    ValueError: the track, a size or the planner is unknown, the goal is not
+      over the track, a knot is no whole number of control steps, or a push is
+      not at a knot.
+  """
+  import torch  # Late: a plan's file is read without it.
+
+  if isinstance(planner, str):
+    if planner not in planning.PLANNERS:
+      raise ValueError(
+        f'Unknown planner {planner!r}; there are '
+        f'{", ".join(planning.PLANNERS)}.'
+      )
+    planner = planning.PLANNERS[planner]
+  _check_replanning(replan_every)
+  terrain = track.make(arena, sizes=sizes).generate(np.random.RandomState(seed))
+  problem = problem or reaching.problem(arena, terrain, seed)
+  pushes_lib.by_knot(pushes, problem.knots, problem.knot_duration)
+  origin: dict[str, Any] = {
+    'replan_every': replan_every,
+    'planner': planning.name_of(planner),
+  }
+  if isinstance(policy, (str, os.PathLike)):
+    origin['policy'] = os.fspath(policy)
+  policy = reaching_env.load_policy(policy)
+  # Batches are small: the physics has the cores.
+  threads = torch.get_num_threads()
+  torch.set_num_threads(1)
+  try:
+    solver = planning.Solver(
+      policy, arena, problem, planner, num_threads, sizes
+    )
+    with _progress(planner, quiet) as report:
+      found = follow(solver, pushes, replan_every, report)
+  finally:
+    torch.set_num_threads(threads)
+  return dataclasses.replace(found, origin=origin)
+
+
+@contextlib.contextmanager
+def _progress(
+  planner: planning.PlannerConfig, quiet: bool
+) -> Iterator[planning.Report]:
+  """Yields what moves a progress bar, which begins anew with every search."""
+  unit = 'knot' if planning.name_of(planner) == 'beam' else 'episode'
+  with tqdm.tqdm(unit=unit, disable=quiet) as bar:
+
+    def report(status: planning.Status) -> None:
+      if status.done <= bar.n:
+        bar.reset()
+      bar.total = status.total
+      bar.set_description(status.search, refresh=False)
+      bar.set_postfix_str(
+        f'return {status.best:.1f}, {status.distance:.2f} m to go',
+        refresh=False,
+      )
+      bar.update(status.done - bar.n)
+
+    yield report
+
+
+def _check_replanning(every: int) -> None:
+  """Raises ValueError unless that is a number of knots, or 0 for never."""
+  if every < 0:
+    raise ValueError(f'replan_every must not be negative, got {every}.')
+
+
+def follow(
   solver: planning.Solver,
   pushes: Sequence[pushes_lib.Push] = (),
   every: int = 0,
   report: planning.Report = lambda status: None,
-) -> planning.Found:
+) -> plan_lib.PlanResult:
   """Brings a robot to the goal; plans before and, maybe, on the way.
 
   Args:
@@ -37,13 +141,12 @@ def solve(
   Raises:
     ValueError: `every` is negative, or a push is not at a knot.
   """
-  if every < 0:
-    raise ValueError(f'replan_every must not be negative, got {every}.')
+  _check_replanning(every)
   robot = solver.make_robot(pushes)
   every = every or robot.knots
   plan: np.ndarray | None = None
   executed: list[int] = []
-  plannings: list[planning.Found] = []
+  plannings: list[plan_lib.PlanResult] = []
   knots: list[problem_lib.Progress] = []
   while robot.remaining:
     if plan is None or robot.alive[0]:  # Who has fallen goes nowhere.
@@ -52,15 +155,11 @@ def solve(
     now, plan = plan[:every], plan[every:]
     knots += [robot.run_knot(mode[None]) for mode in now]
     executed += now.tolist()
-  trial = problem_lib.trials(knots)
-  return planning.Found(
-    plan_lib.from_indices(
-      executed, robot.mode_set.names, robot.config.knot_duration
-    ),
-    bool(trial.success[0]),
-    float(trial.returns[0]),
-    trial.paths[0],
+  return solver.result(
+    executed,
+    problem_lib.trials(knots),
     sum(found.solve_seconds for found in plannings),
     sum(found.rollouts for found in plannings),
     sum(found.control_steps for found in plannings),
+    pushes,
   )

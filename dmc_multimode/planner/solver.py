@@ -1,7 +1,7 @@
-"""From a track and a goal to a plan: one call for every planner."""
+"""Finds a plan from a track and a goal: one call for every planner."""
 
 import time
-from typing import Callable, NamedTuple, Sequence
+from typing import Callable, Mapping, NamedTuple, Sequence
 
 import numpy as np
 
@@ -14,6 +14,10 @@ from dmc_multimode.planner import q_learning
 from dmc_multimode.suite.reaching import problem as reaching
 
 PlannerConfig = search.BeamConfig | q_learning.QLearningConfig
+PLANNERS: Mapping[str, PlannerConfig] = {  # By name, with their defaults.
+  'beam': search.BeamConfig(),
+  'q_learning': q_learning.QLearningConfig(),
+}
 _CANDIDATES = 10  # Plans that are tried alone until one succeeds.
 
 
@@ -37,31 +41,9 @@ class Status(NamedTuple):
 Report = Callable[[Status], None]
 
 
-class Found(NamedTuple):
-  """A plan and what it led to, by itself in one world.
-
-  Attributes:
-    plan: the best plan.
-    success: whether the robot stands at the goal in the end and never fell.
-    episode_return: sum of exp(-|goal - p|) over the control steps.
-    path: of the trunk after every control step, metres, [T, 3].
-    solve_seconds: from the first roll-out to the last.
-    rollouts: plans that the searches tried; a beam search tries its parts.
-    control_steps: of all worlds that were searched in or tried in, together.
-  """
-
-  plan: plan_lib.ModePlan
-  success: bool
-  episode_return: float
-  path: np.ndarray
-  solve_seconds: float
-  rollouts: int
-  control_steps: int
-
-  @property
-  def final_position(self) -> np.ndarray:
-    """Of the trunk, world metres, [3]."""
-    return self.path[-1]
+def name_of(config: PlannerConfig) -> str:
+  """Returns the planner's name in `PLANNERS`."""
+  return 'beam' if isinstance(config, search.BeamConfig) else 'q_learning'
 
 
 def num_worlds(config: PlannerConfig, num_modes: int) -> int:
@@ -89,25 +71,28 @@ class Solver:
   def __init__(
     self,
     policy: reaching.Policy,
-    make_arena: Callable[[], track_lib.Track],
+    arena: str,
     config: reaching.ReachingConfig,
     planner: PlannerConfig,
     num_threads: int = 0,
+    sizes: Mapping[str, float] | None = None,
   ):
     """Compiles the worlds.
 
     Args:
       policy: turns mode commands into motion.
-      make_arena: returns the track anew, for worlds of its own.
+      arena: name of the track.
       config: goal and knots.
       planner: which planner, and how.
       num_threads: of the physics; 0 takes every core.
+      sizes: of the track, metres, where they are not its defaults.
 
     Raises:
-      ValueError: the goal is not over the track, or a knot is no whole number
-        of control steps.
+      ValueError: the track is unknown, the goal is not over it, or a knot is no
+        whole number of control steps.
     """
-    self._policy, self._make_arena = policy, make_arena
+    self._policy = policy
+    self._course = plan_lib.Course(arena, dict(sizes or {}), config.seed)
     self._config, self._num_threads = config, num_threads
     self._searches = (
       planner.escalation()
@@ -133,12 +118,16 @@ class Solver:
       self._policy, self._make_arena(), self._config, 1, 1, pushes
     )
 
+  def _make_arena(self) -> track_lib.Track:
+    """Returns the track anew, for worlds of its own."""
+    return track_lib.make(self._course.arena, sizes=self._course.sizes)
+
   def solve(
     self,
     report: Report = lambda status: None,
     robot: problem_lib.ReachingProblem | None = None,
     guess: np.ndarray | None = None,
-  ) -> Found:
+  ) -> plan_lib.PlanResult:
     """Finds a plan; the best that was found if none succeeds.
 
     Args:
@@ -159,15 +148,43 @@ class Solver:
       rollouts += solution.episodes
       tried += self._try_some(solution)
     indices, trial = max(tried, key=_Tried.worth)
-    names, duration = self._alone.mode_set.names, self._config.knot_duration
-    return Found(
-      plan_lib.from_indices(indices, names, duration),
-      bool(trial.success[0]),
-      float(trial.returns[0]),
-      trial.paths[0],
+    return self.result(
+      indices,
+      trial,
       time.perf_counter() - began,
       rollouts,
       self._control_steps() - steps,
+    )
+
+  def result(
+    self,
+    indices: Sequence[int] | np.ndarray,
+    trial: problem_lib.Trials,
+    solve_seconds: float,
+    rollouts: int,
+    control_steps: int,
+    pushes: Sequence[pushes_lib.Push] = (),
+  ) -> plan_lib.PlanResult:
+    """Returns what is told of a plan.
+
+    Args:
+      indices: of the modes, [K].
+      trial: of one world.
+      solve_seconds, rollouts, control_steps: see `plan.PlanResult`.
+      pushes: that the robot met.
+    """
+    return plan_lib.PlanResult(
+      plan_lib.from_indices(
+        indices, self._alone.mode_set.names, self._config.knot_duration
+      ),
+      self._course._replace(pushes=tuple(pushes)),
+      self._config.goal,
+      bool(trial.success[0]),
+      float(trial.returns[0]),
+      trial.paths[0],
+      solve_seconds,
+      rollouts,
+      control_steps,
     )
 
   def _problem(self, planner: PlannerConfig) -> problem_lib.ReachingProblem:
@@ -220,25 +237,3 @@ class Solver:
   def _try(self, indices: np.ndarray) -> _Tried:
     """Tries a plan alone."""
     return _Tried(indices, self._alone.rollout(indices[None]))
-
-
-def replay(
-  policy: reaching.Policy,
-  arena: track_lib.Track,
-  config: reaching.ReachingConfig,
-  plan: plan_lib.ModePlan,
-  pushes: Sequence[pushes_lib.Push] = (),
-) -> problem_lib.Trials:
-  """Runs a plan in one world, as when it was found, bit for bit.
-
-  Raises:
-    ValueError: the plan has other knots than `config`, commands a mode that the
-      policy does not know, or a push is not at a knot.
-  """
-  if (len(plan.modes), plan.knot_duration) != (
-    config.knots,
-    config.knot_duration,
-  ):
-    raise ValueError('The plan has other knots than the problem.')
-  robot = problem_lib.ReachingProblem(policy, arena, config, 1, 1, pushes)
-  return robot.rollout(plan.indices(robot.mode_set)[None])

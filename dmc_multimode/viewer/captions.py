@@ -1,14 +1,18 @@
 """What is written into the frames of a recording."""
 
 import functools
-from typing import NamedTuple, Sequence
+from typing import NamedTuple, Sequence, TYPE_CHECKING
 
 import numpy as np
 import PIL.Image
 import PIL.ImageDraw
 import PIL.ImageFont
 
+if TYPE_CHECKING:
+  from dmc_multimode.viewer import rollout as rollout_lib
+
 _INK, _FAINT, _WARNING = (22, 28, 36), (92, 102, 114), (200, 30, 30)
+_SHOWN = 0.6  # Seconds for which a push is written into the frames.
 _PAPER = 0.72  # Opacity of the panel behind the text.
 _PALETTE = (  # One colour a mode, told apart by most eyes (Okabe and Ito).
   (0, 114, 178),
@@ -52,6 +56,43 @@ class Timeline(NamedTuple):
 def colour(mode: int) -> tuple[int, int, int]:
   """RGB of a mode by its index."""
   return _PALETTE[mode % len(_PALETTE)]
+
+
+class Captions:
+  """Writes what a step led to into its frame."""
+
+  def __init__(self, rollout: 'rollout_lib.Rollout'):
+    """Captions the steps of `rollout`, in their order."""
+    self._rollout = rollout
+    self._names = rollout.task.mode_set.names
+    self._timeline = Timeline(
+      rollout.schedule.modes[0].tolist(), rollout.ends.tolist()
+    )
+    self._warning = ''
+
+  def draw(self, frame: np.ndarray, step: 'rollout_lib.Step') -> np.ndarray:
+    """Returns the frame of a step with its caption, uint8 [H, W, 3]."""
+    if step.cause != 'none' and not self._warning:
+      self._warning = f'failed at {step.time:.2f} s: {step.cause}'
+    pushes = tuple(
+      f'pushed by ({push.velocity[0]:g}, {push.velocity[1]:g}) m/s'
+      for push in self._rollout.pushes
+      if 0 < step.time - push.time <= _SHOWN
+    )
+    caption = Caption(
+      self._names.index(step.mode),
+      step.mode,
+      (
+        f'time {step.time:.2f} s',
+        f'height {step.height:.2f} m',
+        f'speed {step.speed:.2f} m/s',
+        f'reward {step.reward:.2f}',
+        *pushes,
+      ),
+      self._warning,
+    )
+    total = self._rollout.num_steps * self._rollout.task.control_timestep
+    return draw(frame, caption, self._timeline, step.time / total)
 
 
 def draw(

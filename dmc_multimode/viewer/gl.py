@@ -1,12 +1,14 @@
-"""Chooses how MuJoCo draws, before dm_control is imported.
+"""Chooses how MuJoCo draws, best before dm_control is imported.
 
 dm_control reads MUJOCO_GL when it is imported; unset, it takes GLFW even on a
 machine without a display and fails at the first frame. A failed attempt also
-leaves PyOpenGL unusable in that process, so backends are tried in another.
+leaves PyOpenGL unusable in that process, so backends are tried in another. As
+long as nothing has been drawn, dm_control can be made to read it again.
 
 `python -m dmc_multimode.viewer.gl` prints the backend that works here.
 """
 
+import importlib
 import os
 import subprocess
 import sys
@@ -26,6 +28,7 @@ _DRAW = (
   'from dm_control import mujoco; '
   "mujoco.Physics.from_xml_string('<mujoco/>').render(16, 16)"
 )
+_TAKER = 'dm_control._render'  # Reads the variable when it is imported.
 _TIMEOUT = 60.0  # Seconds; a frame and its imports take about 0.7.
 
 
@@ -56,9 +59,10 @@ def why_not(backend: str) -> str | None:
 
 
 def choose_backend(probe: Probe = why_not) -> str:
-  """Sets MUJOCO_GL to a backend that draws; call it before dm_control.
+  """Sets MUJOCO_GL to a backend that draws; call it before drawing anything.
 
-  A value that the user has set is kept, and checked.
+  A value that is set already is kept; as long as dm_control has not taken it,
+  it is checked.
 
   Args:
     probe: Tells why a backend cannot draw; tests pass their own.
@@ -69,19 +73,18 @@ def choose_backend(probe: Probe = why_not) -> str:
   Raises:
     OSError: If no backend, or not the one that the user has set, can draw.
       One line that says what to install.
-    RuntimeError: If MUJOCO_GL is unset and dm_control is imported already.
   """
-  chosen = os.environ.get(VARIABLE)
+  chosen, taken = os.environ.get(VARIABLE), sys.modules.get(_TAKER)
   if chosen:
-    reason = probe(chosen)
+    reason = None if taken else probe(chosen)
     if reason is not None:
       raise OSError(f'{VARIABLE}={chosen} cannot draw here ({reason}): {HELP}')
     return chosen
-  if 'dm_control._render' in sys.modules:
-    raise RuntimeError('choose_backend() comes before importing dm_control')
   for backend in BACKENDS:
     if probe(backend) is None:
       os.environ[VARIABLE] = backend
+      if taken:
+        importlib.reload(taken)
       return backend
   raise OSError(HELP)
 
@@ -90,4 +93,5 @@ if __name__ == '__main__':
   try:
     print(choose_backend())
   except OSError as problem:
-    sys.exit(f'error: {problem}')
+    print(f'error: {problem}', file=sys.stderr)
+    sys.exit(2)  # As the commands do.

@@ -2,20 +2,22 @@
 
 import dataclasses
 import math
+import os
 import pathlib
-from typing import NamedTuple
+from typing import Any, NamedTuple, Sequence, TYPE_CHECKING
 
 import numpy as np
 import tqdm
 
-from dmc_multimode import pretrained
-from dmc_multimode.viewer import camera as scene
-from dmc_multimode.viewer import captions as overlay
-from dmc_multimode.viewer import robot
-from dmc_multimode.viewer import rollout as rollout_lib
+from dmc_multimode.modes import schedule as schedule_lib
+from dmc_multimode.planner import plan as plan_lib
+from dmc_multimode.viewer import captions
+from dmc_multimode.viewer import gl
 from dmc_multimode.viewer import video
 
-_SHOWN = 0.6  # Seconds for which a push is written into the frames.
+if TYPE_CHECKING:
+  from dmc_multimode import pretrained
+  from dmc_multimode.viewer import rollout as rollout_lib
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,7 +25,7 @@ class RecordingConfig:
   """How a roll-out is drawn.
 
   Attributes:
-    camera: one of `scene.VIEWS`, or a camera of the model.
+    camera: one of `camera.VIEWS`, or a camera of the model.
     width: pixels, even.
     height: pixels, even.
     ghost: whether the reference is drawn.
@@ -44,20 +46,36 @@ class RecordingConfig:
       )
 
 
-def record(
-  policy: pretrained.Policy,
-  rollout_config: rollout_lib.RolloutConfig,
-  config: RecordingConfig,
-  out: pathlib.Path,
-) -> None:
-  """Films a policy and prints how each command went; see `film`."""
-  filmed = film(policy, rollout_config, config, out)
-  for outcome in filmed.outcomes:
-    print(outcome)
-  print(f'wrote {out} ({filmed.steps} frames)')
+class Outcome(NamedTuple):
+  """How one command of the schedule went.
+
+  Attributes:
+    mode: name of the mode.
+    duration: seconds for which it ran; 0 if it was never reached.
+    cause: the first reason to end an episode in it, 'none' if it survived.
+    speed: distance between its ends over its duration, horizontal, m/s.
+    peak: greatest height of the trunk over the support plane at the mode's
+      start, metres.
+  """
+
+  mode: str
+  duration: float
+  cause: str
+  speed: float
+  peak: float
+
+  def __str__(self) -> str:
+    """Returns one line for people."""
+    if not self.duration:
+      return f'{self.mode}: not reached'
+    fate = 'survived' if self.cause == 'none' else f'failed ({self.cause})'
+    return (
+      f'{self.mode}: {fate}, mean speed {self.speed:.2f} m/s, '
+      f'peak height {self.peak:.2f} m'
+    )
 
 
-class Filmed(NamedTuple):
+class Recording(NamedTuple):
   """What a video shows.
 
   Attributes:
@@ -65,18 +83,108 @@ class Filmed(NamedTuple):
     steps: control steps.
   """
 
-  outcomes: list[rollout_lib.Outcome]
+  outcomes: list[Outcome]
   steps: int
 
 
+def record(
+  policy: 'str | os.PathLike[str] | pretrained.Policy',
+  schedule: str | Sequence[tuple[str, float]] | None = None,
+  plan: str | os.PathLike[str] | plan_lib.PlanFile | None = None,
+  out: str | os.PathLike[str] = 'video.mp4',
+  arena: str = 'flat',
+  seed: int = 0,
+  config: RecordingConfig | None = None,
+  clock_rate: float = 1.0,
+  physics_timestep: float | None = None,
+  terminate: bool = False,
+  quiet: bool = False,
+) -> Recording:
+  """Films a policy that follows a schedule on a track, or carries out a plan.
+
+  Args:
+    policy: what acts: name of a shipped policy, a folder, or a policy.
+    schedule: 'MODE:SECONDS,MODE:SECONDS,...' or such pairs.
+    plan: instead of the schedule, a plan or its file, which also tells track,
+      seed and pushes.
+    out: the video, an .mp4 or a .gif file; missing folders are made.
+    arena: name of the track.
+    seed: of the terrain and of the initial state's noise.
+    config: how it is drawn.
+    clock_rate: rate of the phase clock, 1 being the references' own.
+    physics_timestep: seconds; the policy's own if None.
+    terminate: ends the video where an episode would end.
+    quiet: hides the progress bar.
+
+  Raises:
+    FileNotFoundError: there is no such policy or plan.
+    ValueError: not one of schedule and plan is given; a mode, arena or camera
+      is unknown; or a number is out of bounds.
+    OSError: nothing can draw here, or the video cannot be written.
+  """
+  path = video.check_path(out)
+  if schedule is not None and plan is None:
+    what = _scheduled(schedule, arena, seed)
+  elif plan is not None and schedule is None:
+    what = _planned(plan)
+  else:
+    raise ValueError('Say what to record: a schedule or a plan.')
+  gl.choose_backend()
+  # These import dm_control, which reads the choice.
+  from dmc_multimode import pretrained
+  from dmc_multimode.viewer import rollout as rollout_lib
+
+  if isinstance(policy, (str, os.PathLike)):
+    policy = pretrained.load(policy)
+  rollout_config = rollout_lib.RolloutConfig(
+    **what,
+    clock_rate=clock_rate,
+    physics_timestep=physics_timestep,
+    terminate=terminate,
+  )
+  return film(policy, rollout_config, config or RecordingConfig(), path, quiet)
+
+
+def _scheduled(
+  schedule: str | Sequence[tuple[str, float]], arena: str, seed: int
+) -> dict[str, Any]:
+  """Returns the part of the roll-out that a schedule tells."""
+  if isinstance(schedule, str):
+    names, durations = schedule_lib.parse(schedule)
+  else:
+    names = [name for name, _ in schedule]
+    durations = [seconds for _, seconds in schedule]
+  return {
+    'modes': tuple(names),
+    'durations': tuple(durations),
+    'arena': arena,
+    'seed': seed,
+  }
+
+
+def _planned(
+  plan: str | os.PathLike[str] | plan_lib.PlanFile,
+) -> dict[str, Any]:
+  """Returns the part of the roll-out that a plan tells."""
+  if not isinstance(plan, plan_lib.PlanFile):
+    plan = plan_lib.PlanFile.read(plan)
+  names, durations = plan.plan.segments()
+  return {
+    'modes': tuple(names),
+    'durations': tuple(durations),
+    **plan.course._asdict(),
+    'imitation': False,
+  }
+
+
 def film(
-  policy: pretrained.Policy,
-  rollout_config: rollout_lib.RolloutConfig,
+  policy: 'pretrained.Policy',
+  rollout_config: 'rollout_lib.RolloutConfig',
   config: RecordingConfig,
   out: pathlib.Path,
   quiet: bool = False,
-) -> Filmed:
-  """Rolls out and writes the video.
+) -> Recording:
+  """Rolls out and writes the video; `gl.choose_backend` comes before.
 
   A frame a control step; the file appears when it is complete.
 
@@ -91,6 +199,10 @@ def film(
     ValueError: a mode, arena or camera is unknown, or a number out of bounds.
     OSError: the video cannot be written.
   """
+  # These import dm_control, which reads what draws.
+  from dmc_multimode.viewer import camera as scene
+  from dmc_multimode.viewer import rollout as rollout_lib
+
   rollout = rollout_lib.Rollout(policy, rollout_config)
   scene.prepare(rollout.task, config.width, config.height)
   physics = rollout.start()
@@ -111,48 +223,38 @@ def film(
     unit='frame',
     disable=quiet,
   )
-  steps: list[robot.Step] = []
-  captions = Captions(rollout)
+  steps: list[rollout_lib.Step] = []
+  caption = captions.Captions(rollout)
   with bar, video.open_writer(out, rate) as append:
     for step in bar:
       steps.append(step)
-      append(captions.draw(camera.render(), step))
-  outcomes = rollout_lib.outcomes(rollout_config, start, steps)
-  return Filmed(outcomes, len(steps))
+      append(caption.draw(camera.render(), step))
+  return Recording(outcomes(rollout_config, start, steps), len(steps))
 
 
-class Captions:
-  """Writes what a step led to into its frame."""
+def outcomes(
+  config: 'rollout_lib.RolloutConfig',
+  start: np.ndarray,
+  steps: Sequence['rollout_lib.Step'],
+) -> list[Outcome]:
+  """Returns how every command went.
 
-  def __init__(self, rollout: rollout_lib.Rollout):
-    """Captions the steps of `rollout`, in their order."""
-    self._rollout = rollout
-    self._names = rollout.task.mode_set.names
-    self._timeline = overlay.Timeline(
-      rollout.schedule.modes[0].tolist(), rollout.ends.tolist()
-    )
-    self._warning = ''
-
-  def draw(self, frame: np.ndarray, step: robot.Step) -> np.ndarray:
-    """Returns the frame of a step with its caption, uint8 [H, W, 3]."""
-    if step.cause != 'none' and not self._warning:
-      self._warning = f'failed at {step.time:.2f} s: {step.cause}'
-    pushes = tuple(
-      f'pushed by ({push.velocity[0]:g}, {push.velocity[1]:g}) m/s'
-      for push in self._rollout.pushes
-      if 0 < step.time - push.time <= _SHOWN
-    )
-    caption = overlay.Caption(
-      self._names.index(step.mode),
-      step.mode,
-      (
-        f'time {step.time:.2f} s',
-        f'height {step.height:.2f} m',
-        f'speed {step.speed:.2f} m/s',
-        f'reward {step.reward:.2f}',
-        *pushes,
-      ),
-      self._warning,
-    )
-    total = self._rollout.num_steps * self._rollout.task.control_timestep
-    return overlay.draw(frame, caption, self._timeline, step.time / total)
+  Args:
+    config: of the roll-out.
+    start: where the trunk began, metres, [3].
+    steps: all of them.
+  """
+  result = []
+  before, began = start, 0.0
+  for command, mode in enumerate(config.modes):
+    mine = [step for step in steps if step.command == command]
+    if not mine:
+      result.append(Outcome(mode, 0.0, 'none', 0.0, 0.0))
+      continue
+    duration = mine[-1].time - began
+    way = np.linalg.norm((mine[-1].position - before)[:2])
+    cause = next((s.cause for s in mine if s.cause != 'none'), 'none')
+    peak = max(step.rise for step in mine)
+    result.append(Outcome(mode, duration, cause, float(way) / duration, peak))
+    before, began = mine[-1].position, mine[-1].time
+  return result

@@ -1,8 +1,10 @@
-"""One policy following one schedule in the Composer task, step by step."""
+"""One policy in one Composer environment: step by step, or a whole schedule."""
 
+import collections
 import dataclasses
 from typing import Any, Iterator, Mapping, NamedTuple, Sequence
 
+from dm_control import composer
 import numpy as np
 
 from dmc_multimode import pretrained
@@ -10,10 +12,168 @@ from dmc_multimode.arenas import track
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.suite import multimode_biped
-from dmc_multimode.suite.imitation import config as config_lib
+from dmc_multimode.suite.imitation import composer_task
+from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes
 from dmc_multimode.suite.imitation import terminations
-from dmc_multimode.viewer import robot
+
+_SPEED_WINDOW = 0.3  # Seconds over which the shown speed is a mean.
+
+
+class Step(NamedTuple):
+  """What a control step led to.
+
+  Attributes:
+    command: index into the schedule of the command that was in force.
+    time: seconds since the start.
+    mode: name of the mode that runs from here on.
+    position: of the trunk in the world, metres, [3].
+    height: of the trunk over the support plane under it, metres.
+    rise: of the trunk over the support plane at the mode's start, metres.
+    speed: horizontal, mean over the last 0.3 s, m/s.
+    reward: in [0, 1].
+    cause: why an episode would end here; 'none' where it would not.
+  """
+
+  command: int
+  time: float
+  mode: str
+  position: np.ndarray
+  height: float
+  rise: float
+  speed: float
+  reward: float
+  cause: str
+
+
+class Robot:
+  """A policy in a Composer environment of its own, one step at a time.
+
+  Attributes:
+    task: what runs in the environment.
+    over: whether the episode has ended; `reset` begins the next.
+  """
+
+  def __init__(
+    self,
+    policy: pretrained.Policy,
+    task: composer_task.Imitation,
+    limits: terminations.TerminationLimits,
+    seed: int,
+  ):
+    """Takes the task; `start` compiles it.
+
+    Args:
+      policy: what acts.
+      task: made for that policy.
+      limits: whose crossing a step tells as its cause; the task's own limits
+        end the episode.
+      seed: of the terrain and of the initial state's noise, at each reset.
+    """
+    self.task, self.over = task, False
+    self._policy, self._limits, self._seed = policy, limits, seed
+
+  def start(self) -> Any:
+    """Compiles the model and resets it; returns the physics."""
+    self._environment = composer.Environment(
+      self.task,
+      recompile_mjcf_every_episode=False,
+      raise_exception_on_physics_error=False,
+    )
+    self.reset()
+    return self.physics
+
+  @property
+  def environment(self) -> composer.Environment:
+    """What `start` compiled."""
+    return self._environment
+
+  @property
+  def physics(self) -> Any:
+    """Of the environment; a weak proxy that is not to be kept."""
+    return self._environment.physics
+
+  @property
+  def position(self) -> np.ndarray:
+    """Of the trunk in the world, metres, [3]."""
+    return self.physics.data.qpos[:3].copy()
+
+  def reset(self) -> None:
+    """Begins the episode that the seed stands for, always the same."""
+    self._environment.random_state.seed(self._seed)
+    self._environment.reset()
+    self.over = False
+    window = max(1, round(_SPEED_WINDOW / self.task.config.control_timestep))
+    self._path = collections.deque([self.position], window + 1)
+
+  def command(self, mode: int) -> None:
+    """Commands a mode, an index, where the robot is; a running one goes on.
+
+    Raises:
+      ValueError: the mode calls for a step, and the track has no place left.
+    """
+    self.task.command(self.physics, mode, self._environment.random_state)
+
+  def push(self, velocity: Sequence[float] | np.ndarray) -> None:
+    """Adds to the velocity of the trunk, world m/s (x, y, z)."""
+    self.physics.data.qvel[:3] += velocity
+    self.physics.forward()
+    # The running mode goes on, but what is seen has changed.
+    self.command(int(self.task.core.tracker.state.mode[0]))
+
+  def action(self) -> np.ndarray:
+    """Returns the policy's joint targets for what is seen now, [10]."""
+    return self._policy.actor.select_action(self.task.observation)
+
+  def here(self) -> Step:
+    """Returns where the robot is right after a reset, as if by a step."""
+    task, position = self.task, self.position
+    return Step(
+      command=0,
+      time=0.0,
+      mode=task.mode,
+      position=position,
+      height=float(position[2] - task.core.support(position[:1])[0]),
+      rise=float(position[2] - task.core.tracker.state.anchor[0, 2]),
+      speed=0.0,
+      reward=0.0,
+      cause=terminations.CAUSES[0],
+    )
+
+  def step(self) -> Step:
+    """Makes a control step; an invalid one has a state that is not finite."""
+    state = self.task.core.tracker.state
+    command, floor = int(state.knot[0]), float(state.anchor[0, 2])
+    self.over = self._environment.step(self.action()).last()
+    self._path.append(self.position)
+    return self._step(command, floor)
+
+  def _step(self, command: int, floor: float) -> Step:
+    """Judges the step that has just been made."""
+    task, outcome, path = self.task, self.task.outcome, self._path
+    assert outcome is not None
+    elapsed = (len(path) - 1) * task.config.control_timestep
+    position = path[-1]
+    height = position[2] - task.core.support(position[:1])
+    cause = terminations.termination_cause(
+      outcome.errors.position,
+      outcome.errors.orientation,
+      outcome.reward,
+      height,
+      np.array([np.isfinite(position).all()]),
+      self._limits,
+    )
+    return Step(
+      command=command,
+      time=int(task.core.tracker.state.step[0]) * task.config.control_timestep,
+      mode=task.mode,
+      position=position,
+      height=float(height[0]),
+      rise=float(position[2] - floor),
+      speed=float(np.linalg.norm((position - path[0])[:2]) / elapsed),
+      reward=float(outcome.reward[0]),
+      cause=terminations.CAUSES[cause[0]],
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,34 +206,6 @@ class RolloutConfig:
   terminate: bool = False
 
 
-class Outcome(NamedTuple):
-  """How one command of the schedule went.
-
-  Attributes:
-    mode: name of the mode.
-    duration: seconds for which it ran; 0 if it was never reached.
-    cause: the first reason to end an episode in it, 'none' if it survived.
-    speed: distance between its ends over its duration, horizontal, m/s.
-    peak: greatest height of the trunk over the support plane at the mode's
-      start, metres.
-  """
-
-  mode: str
-  duration: float
-  cause: str
-  speed: float
-  peak: float
-
-  def __str__(self) -> str:
-    if not self.duration:
-      return f'{self.mode}: not reached'
-    fate = 'survived' if self.cause == 'none' else f'failed ({self.cause})'
-    return (
-      f'{self.mode}: {fate}, mean speed {self.speed:.2f} m/s, '
-      f'peak height {self.peak:.2f} m'
-    )
-
-
 class Rollout:
   """A policy in its environment, reset and ready to run once."""
 
@@ -89,20 +221,20 @@ class Rollout:
     )
     if config.seed < 0:
       raise ValueError(f'seed must not be negative, got {config.seed}.')
-    task_config = _task_config(policy.config, config)
-    if not task_config.horizon:
+    task = _task_config(policy.config, config)
+    if not task.horizon:
       raise ValueError('The schedule is shorter than one control step.')
     self._config = config
     self.task = multimode_biped.make_task(
       policy.mode_set,
       episodes=episodes.ScheduledEpisodes(self.schedule),
       arena=_make_arena(config),
-      config=task_config,
+      config=task,
     )
     limits = policy.config.limits
     if not config.imitation:
       limits = terminations.falls_alone(limits)
-    self._robot = robot.Robot(policy, self.task, limits, config.seed)
+    self._robot = Robot(policy, self.task, limits, config.seed)
 
   @property
   def num_steps(self) -> int:
@@ -124,7 +256,7 @@ class Rollout:
     """Compiles the model and resets it; returns the physics."""
     return self._robot.start()
 
-  def steps(self) -> Iterator[robot.Step]:
+  def steps(self) -> Iterator[Step]:
     """Runs the schedule, after `start`.
 
     A robot that has lost its reference or fallen goes on, unless the
@@ -151,42 +283,16 @@ class Rollout:
       self._robot.push(np.sum(velocities, axis=0))
 
 
-def outcomes(
-  config: RolloutConfig, start: np.ndarray, steps: Sequence[robot.Step]
-) -> list[Outcome]:
-  """Returns how every command went.
-
-  Args:
-    config: of the roll-out.
-    start: where the trunk began, metres, [3].
-    steps: all of them.
-  """
-  result = []
-  before, began = start, 0.0
-  for command, mode in enumerate(config.modes):
-    mine = [step for step in steps if step.command == command]
-    if not mine:
-      result.append(Outcome(mode, 0.0, 'none', 0.0, 0.0))
-      continue
-    duration = mine[-1].time - began
-    way = np.linalg.norm((mine[-1].position - before)[:2])
-    cause = next((s.cause for s in mine if s.cause != 'none'), 'none')
-    peak = max(step.rise for step in mine)
-    result.append(Outcome(mode, duration, cause, float(way) / duration, peak))
-    before, began = mine[-1].position, mine[-1].time
-  return result
-
-
 def _task_config(
-  config: config_lib.ImitationConfig, rollout: RolloutConfig
-) -> config_lib.ImitationConfig:
+  config: task_config.ImitationConfig, rollout: RolloutConfig
+) -> task_config.ImitationConfig:
   """The policy's own task, from rest, as long as the schedule."""
   changes: dict[str, Any] = {'time_limit': sum(rollout.durations)}
   if rollout.physics_timestep is not None:
     changes['physics_timestep'] = rollout.physics_timestep
   if not rollout.terminate:
     changes['limits'] = terminations.NO_LIMITS
-  return dataclasses.replace(config_lib.for_evaluation(config), **changes)
+  return dataclasses.replace(task_config.for_evaluation(config), **changes)
 
 
 def _make_arena(config: RolloutConfig) -> track.Track:

@@ -4,7 +4,9 @@ Who drives a session calls `step` once a control period and everything else in
 between, all from one thread. Only a search for a plan has a thread of its own.
 """
 
+from concurrent import futures
 import dataclasses
+import threading
 from typing import NamedTuple, Sequence
 
 import numpy as np
@@ -20,8 +22,7 @@ from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.suite.reaching import problem as reaching
-from dmc_multimode.viewer import live_search
-from dmc_multimode.viewer import robot
+from dmc_multimode.viewer import rollout
 
 CLOCK_RATES = (0.5, 1.5)  # The slowest and the fastest.
 PUSH_SPEEDS = (0.0, 3.0)  # m/s.
@@ -29,6 +30,55 @@ _SEGMENTS = 32  # Places for boxes: so many steps can be launched onto.
 _LIE = 1.2  # Seconds that a robot which has fallen stays where it is.
 _FALLEN = terminations.CAUSES[terminations.FALLEN]
 _INVALID = terminations.CAUSES[terminations.INVALID]
+
+
+class PlanSearch:
+  """A search for a plan, in a thread of its own.
+
+  Attributes:
+    status: how far it has come.
+  """
+
+  def __init__(
+    self,
+    policy: pretrained.Policy,
+    arena: str,
+    config: reaching.ReachingConfig,
+    planner: beam_search.BeamConfig,
+    threads: int,
+  ):
+    """Starts; the arguments are those of `solver.Solver`."""
+    self.status = solver.Status('compiling', 0, 1, 0.0, np.inf)
+    self._cancelled = threading.Event()
+    executor = futures.ThreadPoolExecutor(1)
+    self._found = executor.submit(
+      lambda: solver.Solver(policy, arena, config, planner, threads).solve(
+        self._report
+      )
+    )
+    executor.shutdown(wait=False)  # There is nothing more to do.
+
+  @property
+  def done(self) -> bool:
+    """Whether it is over."""
+    return self._found.done()
+
+  def result(self) -> plan_lib.PlanResult:
+    """Returns the best plan that was found.
+
+    Raises:
+      ValueError: there is none because the problem is none.
+    """
+    return self._found.result()
+
+  def cancel(self) -> None:
+    """Lets it end at the next knot."""
+    self._cancelled.set()
+
+  def _report(self, status: solver.Status) -> None:
+    if self._cancelled.is_set():
+      raise futures.CancelledError
+    self.status = status
 
 
 class LiveState(NamedTuple):
@@ -44,11 +94,11 @@ class LiveState(NamedTuple):
     replaying: whether it is being carried out.
   """
 
-  step: robot.Step
+  step: rollout.Step
   down: bool
   notice: str
   searching: solver.Status | None
-  plan: solver.Found | None
+  plan: plan_lib.PlanResult | None
   replaying: bool
 
 
@@ -85,7 +135,7 @@ class LiveSession:
     """
     self._policy, self._planner = policy, planner or beam_search.BeamConfig()
     self._mode_set, self._threads = policy.mode_set, threads
-    self._search: live_search.Search | None = None
+    self._search: PlanSearch | None = None
     self.clock_rate = 1.0
     self.set_arena(arena, seed)
 
@@ -113,10 +163,10 @@ class LiveSession:
       ),
     )
     limits = terminations.falls_alone(self._policy.config.limits)
-    self.robot = robot.Robot(self._policy, task, limits, seed)
+    self.robot = rollout.Robot(self._policy, task, limits, seed)
     self.arena, self.seed = name, seed
     self.close()
-    self._plan: solver.Found | None = None
+    self._plan: plan_lib.PlanResult | None = None
     self.robot.start()
     self._start()
 
@@ -176,8 +226,10 @@ class LiveSession:
     """
     if self._search:
       raise ValueError('A plan is being searched for already.')
-    self._search = live_search.Search(
-      self._policy, self.arena, self._problem(), self._planner, self._threads
+    terrain = self.robot.task.root_entity.terrain
+    problem = reaching.problem(self.arena, terrain, self.seed)
+    self._search = PlanSearch(
+      self._policy, self.arena, problem, self._planner, self._threads
     )
     self.notice = ''
 
@@ -228,13 +280,6 @@ class LiveSession:
     if self._lying * self.robot.task.control_timestep > _LIE:
       self.robot.reset()
       self._start(f'{self.notice} It was put back to the start.')
-
-  def _problem(self) -> reaching.ReachingConfig:
-    """Returns what a plan is to reach on this track."""
-    terrain = self.robot.task.root_entity.terrain
-    if len(terrain.starts[0][np.isfinite(terrain.starts[0])]) == 1:
-      return reaching.ReachingConfig(seed=self.seed)  # Nothing to cross.
-    return reaching.problem(self.arena, terrain, self.seed)
 
   def _take_plan(self) -> None:
     """Takes what a search that is over has found."""

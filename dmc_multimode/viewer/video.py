@@ -6,7 +6,7 @@ import math
 import os
 import pathlib
 import tempfile
-from typing import Callable, Iterator, Sequence
+from typing import Any, Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -89,7 +89,9 @@ def _write_mp4(path: pathlib.Path, frame_rate: float) -> Iterator[Append]:
 
   rate = fractions.Fraction(frame_rate).limit_denominator(1000)
   with av.open(str(path), 'w', 'mp4', options=_CONTAINER_OPTIONS) as container:
-    stream = container.add_stream(_CODEC, rate=rate, options=dict(_OPTIONS))
+    stream: Any = container.add_stream(
+      _CODEC, rate=rate, options=dict(_OPTIONS)
+    )
     stream.pix_fmt = 'yuv420p'
 
     def append(frame: np.ndarray) -> None:
@@ -139,6 +141,6 @@ def _write_gif(path: pathlib.Path, frame_rate: float) -> Iterator[Append]:
 
 
 def _durations(times: np.ndarray) -> Sequence[int]:
-  """Returns ms from each of the times, s, to the next, rounded without drift."""
+  """Returns ms from each of times, s, to the next, rounded without drift."""
   ticks = np.diff(np.round(times / _GIF_TICK).astype(int))
   return (round(1000 * _GIF_TICK) * np.maximum(ticks, 1)).tolist()

@@ -15,7 +15,7 @@ import viser
 
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.viewer import camera as scene
-from dmc_multimode.viewer import robot as robot_lib
+from dmc_multimode.viewer import rollout
 
 _VIEW = scene.VIEWS['side']
 _DISTANCE, _NEAR = 3.0, 0.1  # Metres from the camera to the robot, and least.
@@ -43,7 +43,7 @@ _PATH, _PATH_WIDTH = (235, 120, 40), 3.0  # Of a plan: colour, pixels.
 class LiveScene:
   """Draws a robot and its world on a page."""
 
-  def __init__(self, server: viser.ViserServer, robot: robot_lib.Robot):
+  def __init__(self, server: viser.ViserServer, robot: rollout.Robot):
     """Builds the meshes.
 
     Args:
@@ -105,7 +105,7 @@ class LiveScene:
     sky = _SKY[0] + shares * (_SKY[1] - _SKY[0])
     self._server.scene.set_background_image(sky.astype(np.uint8), 'png')
 
-  def show(self, robot: robot_lib.Robot) -> None:
+  def show(self, robot: rollout.Robot) -> None:
     """Draws the robot where it is; nothing if that is not finite."""
     position, data = robot.position, robot.physics.data
     if not np.isfinite(position).all():
@@ -166,7 +166,7 @@ class LiveScene:
     )
 
 
-def _drawn_model(robot: robot_lib.Robot) -> mujoco.MjModel:
+def _drawn_model(robot: rollout.Robot) -> mujoco.MjModel:
   """Returns a copy of the robot's model whose ground is not to be drawn."""
   model = copy.deepcopy(robot.physics.model.ptr)
   ground = robot.physics.bind(robot.task.root_entity.ground_geoms).element_id

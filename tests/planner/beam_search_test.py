@@ -1,4 +1,4 @@
-"""Tests of dmc_multimode.planner.search and q_learning on a toy problem."""
+"""Tests of dmc_multimode.planner.beam_search and q_learning, on a toy."""
 
 import itertools
 from typing import Any

@@ -16,6 +16,19 @@ from dmc_multimode.planner import pushes as pushes_lib
 
 _PI2 = library.mode_set('pi2')
 _PLAN = plan_lib.ModePlan(('idle', 'launch', 'launch', 'idle'), 0.3)
+_PUSH = {'time': 0.6, 'velocity': [0.5, 0, -0.1]}
+# As releases before this one wrote them.
+_VALUES: dict[str, Any] = {
+  'success': True,
+  'plan': ['idle', 'launch', 'launch', 'idle'],
+  'knots': 4,
+  'dt': 0.3,
+  'arena': 'gap',
+  'sizes': {'width': 0.3},
+  'seed': 2,
+  'pushes': [_PUSH],
+  'policy': 'pi2',
+}
 
 
 def test_schedule() -> None:
@@ -23,22 +36,22 @@ def test_schedule() -> None:
   np.testing.assert_array_equal(schedule.modes, [[0, 3, 3, 0]])
   np.testing.assert_allclose(schedule.starts, [[0.0, 0.3, 0.6, 0.9]])
   assert _PLAN.duration == pytest.approx(1.2)
-
-
-def test_segments() -> None:
+  assert plan_lib.from_indices([0, 3, 3, 0], _PI2.names, 0.3) == _PLAN
   names, durations = _PLAN.segments()
   assert names == ['idle', 'launch', 'idle']
   assert durations == pytest.approx([0.3, 0.6, 0.3])
-
-
-def test_from_indices() -> None:
-  assert plan_lib.from_indices([0, 3, 3, 0], _PI2.names, 0.3) == _PLAN
-
-
-def test_unknown_mode() -> None:
-  plan = plan_lib.ModePlan(('idle', 'hop_forward'), 0.3)
   with pytest.raises(ValueError, match="'hop_forward'.*knows idle, walk"):
-    plan.schedule(_PI2)
+    plan_lib.ModePlan(('idle', 'hop_forward'), 0.3).schedule(_PI2)
+
+
+def test_read() -> None:
+  file = plan_lib.PlanFile.from_dict(_VALUES)
+  assert file.plan == _PLAN
+  pushes = (pushes_lib.Push(0.6, (0.5, 0.0, -0.1)),)
+  assert file.course == ('gap', {'width': 0.3}, 2, pushes)
+  assert file.details == {'success': True, 'policy': 'pi2'}
+  unpushed = {key: _VALUES[key] for key in _VALUES if key != 'pushes'}
+  assert plan_lib.PlanFile.from_dict(unpushed).course.pushes == ()
 
 
 @given(
@@ -47,8 +60,27 @@ def test_unknown_mode() -> None:
 )
 def test_round_trip(modes: list[str], dt: float) -> None:
   plan = plan_lib.ModePlan(tuple(modes), dt)
-  values = json.loads(json.dumps(plan_lib.to_dict(plan)))
-  assert plan_lib.from_dict({**values, 'more': 1}) == plan
+  push = pushes_lib.Push(0.0, (1.0, 0.5, 0.0))
+  file = plan_lib.PlanFile(
+    plan, plan_lib.Course('gap', {'width': 0.2}, 3, (push,)), {'return': 1.5}
+  )
+  values = json.loads(json.dumps(file.to_dict()))
+  assert plan_lib.PlanFile.from_dict(values) == file
+
+
+def test_a_result_is_kept(tmp_path: pathlib.Path) -> None:
+  path = np.array([[0.0, 0.0, 0.5], [0.1, 0.2, 0.3]])
+  result = plan_lib.PlanResult(
+    *(_PLAN, plan_lib.Course('flat'), (2.0, 0.0, 0.5), False, 1.5, path),
+    *(0.1, 24, 960, {'planner': 'beam'}),
+  )
+  out = tmp_path / 'new' / 'plan.json'
+  result.save(out)
+  values = json.loads(out.read_text())
+  assert values['final_position'] == [0.1, 0.2, 0.3]
+  assert (values['success'], values['return']) == (False, 1.5)
+  assert (values['knots'], values['dt'], values['seed']) == (4, 0.3, 0)
+  assert plan_lib.PlanFile.read(str(out)) == result.file()
 
 
 @pytest.mark.parametrize(
@@ -59,29 +91,33 @@ def test_round_trip(modes: list[str], dt: float) -> None:
     ({'plan': ['idle', 3, 'idle', '']}, 'names of modes, got 3'),
     ({'knots': 3}, '4 modes for 3 knots'),
     ({'dt': 0.0}, 'longer than 0'),
-    ({'dt': math.nan}, 'longer than 0|not a finite number'),
+    ({'dt': math.nan}, 'not a finite number'),
     ({'dt': '0.3'}, 'not seconds'),
     ({'dt': True}, 'not seconds'),
+    ({'arena': 3}, 'for which arena'),
+    ({'sizes': {'width': 'wide'}}, 'for which arena'),
+    ({'sizes': [0.3]}, 'for which arena'),
+    ({'seed': -1}, 'for which arena'),
+    ({'seed': None}, 'for which arena'),
+    ({'pushes': [{**_PUSH, 'time': 0.7}]}, 'not at a knot'),
+    ({'pushes': [{**_PUSH, 'time': 1.2}]}, 'outside of the plan'),
+    ({'pushes': None}, 'no pushes: None'),
   ],
 )
 def test_rejects(
   changes: dict[str, Any], message: str, tmp_path: pathlib.Path
 ) -> None:
-  values = {**plan_lib.to_dict(_PLAN), **changes}
-  with pytest.raises(ValueError, match=message):
-    plan_lib.from_dict(values)
   path = tmp_path / 'plan.json'
-  path.write_text(json.dumps(values))
-  with pytest.raises(ValueError, match=rf'plan\.json.*({message})'):
-    plan_lib.read(path)
+  path.write_text(json.dumps({**_VALUES, **changes}))
+  with pytest.raises(ValueError, match=rf'plan\.json.*{message}'):
+    plan_lib.PlanFile.read(path)
 
 
 @pytest.mark.parametrize('key', ['plan', 'knots', 'dt'])
 def test_lacks(key: str) -> None:
-  values = plan_lib.to_dict(_PLAN)
-  del values[key]
+  values = {name: _VALUES[name] for name in _VALUES if name != key}
   with pytest.raises(ValueError, match=f"lacks '{key}'"):
-    plan_lib.from_dict(values)
+    plan_lib.PlanFile.from_dict(values)
 
 
 @pytest.mark.parametrize('text', ['', '[]', '3', '{', '[' * 100_000, '\0'])
@@ -89,56 +125,9 @@ def test_damaged_file(text: str, tmp_path: pathlib.Path) -> None:
   path = tmp_path / 'plan.json'
   path.write_text(text)
   with pytest.raises(ValueError, match=r'plan\.json'):
-    plan_lib.read(path)
+    plan_lib.PlanFile.read(path)
 
 
 def test_missing_file(tmp_path: pathlib.Path) -> None:
   with pytest.raises(FileNotFoundError, match=r'no plan .*none\.json'):
-    plan_lib.read(tmp_path / 'none.json')
-
-
-def test_course() -> None:
-  values = {
-    **plan_lib.to_dict(_PLAN),
-    'arena': 'gap',
-    'sizes': {'width': 0.3},
-    'seed': 2,
-  }
-  assert plan_lib.course(values) == ('gap', {'width': 0.3}, 2, ())
-  for changes in (
-    {'arena': 3},
-    {'sizes': {'width': 'wide'}},
-    {'sizes': [0.3]},
-    {'seed': -1},
-    {'seed': None},
-  ):
-    with pytest.raises(ValueError, match='for which arena'):
-      plan_lib.course({**values, **changes})
-
-
-def test_course_with_pushes() -> None:
-  values = {
-    **plan_lib.to_dict(_PLAN),
-    'arena': 'flat',
-    'sizes': {},
-    'seed': 0,
-    'pushes': [{'time': 0.6, 'velocity': [0.5, 0, -0.1]}],
-  }
-  assert plan_lib.course(values).pushes == (
-    pushes_lib.Push(0.6, (0.5, 0.0, -0.1)),
-  )
-  for time, message in ((0.7, 'not at a knot'), (1.2, 'outside of the plan')):
-    values['pushes'] = [{'time': time, 'velocity': [0.5, 0.0, 0.0]}]
-    with pytest.raises(ValueError, match=message):
-      plan_lib.course(values)
-  values['pushes'] = None
-  with pytest.raises(ValueError, match='no pushes: None'):
-    plan_lib.course(values)
-
-
-def test_read(tmp_path: pathlib.Path) -> None:
-  path = tmp_path / 'plan.json'
-  path.write_text(json.dumps({**plan_lib.to_dict(_PLAN), 'seed': 4}))
-  values = plan_lib.read(path)
-  assert values['seed'] == 4
-  assert plan_lib.from_dict(values) == _PLAN
+    plan_lib.PlanFile.read(tmp_path / 'none.json')

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dmc_multimode import planner
 from dmc_multimode import pretrained
-from dmc_multimode.arenas import track
 from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import pushes as pushes_lib
@@ -15,12 +15,11 @@ from dmc_multimode.planner import q_learning
 from dmc_multimode.planner import replanning
 from dmc_multimode.planner import solver as planning
 from dmc_multimode.suite.reaching import problem as reaching
+from tests.planner import replay
 
 # Time enough to stand there for a while, and to be pushed back.
 _CONFIG = reaching.ReachingConfig((0.7, 0.0, 0.5), 11, 0.3)
 _PUSHES = tuple(pushes_lib.Push(time, (-1.0, 0.0, 0.0)) for time in (1.2, 1.8))
-
-
 _SHORT = reaching.ReachingConfig((0.4, 0.0, 0.5), 4, 0.3)
 
 
@@ -29,24 +28,49 @@ def policy() -> pretrained.Policy:
   return pretrained.load('quickstart')
 
 
-def _solver(
-  policy: pretrained.Policy,
-  config: reaching.ReachingConfig,
-  planner: planning.PlannerConfig,
-) -> planning.Solver:
-  return planning.Solver(
-    policy, lambda: track.make('flat'), config, planner, num_threads=1
+def test_solve_by_names() -> None:
+  """Tells all that the plan's file does."""
+  small = beam_search.BeamConfig(2, attempts=1)
+  push = pushes_lib.Push(0.9, (0.1, 0.0, 0.0))
+  found = planner.solve(
+    *('quickstart', 'flat', 3, _SHORT, None, small),
+    pushes=[push],
+    num_threads=1,
+    quiet=True,
   )
+  assert found.success
+  assert found.course == ('flat', {}, 0, (push,))
+  assert found.goal == (0.4, 0.0, 0.5)
+  assert found.origin == {
+    'replan_every': 0,
+    'planner': 'beam',
+    'policy': 'quickstart',
+  }
+
+
+@pytest.mark.parametrize(
+  ('arguments', 'message'),
+  [
+    ({'arena': 'moat'}, "Unknown arena 'moat'"),
+    ({'planner': 'luck'}, "Unknown planner 'luck'; there are beam, q_learning"),
+    ({'replan_every': -1}, 'replan_every must not be negative'),
+    ({'pushes': [pushes_lib.Push(0.1, (1.0, 0.0, 0.0))]}, 'not at a knot'),
+  ],
+)
+def test_solve_rejects(arguments: dict[str, Any], message: str) -> None:
+  with pytest.raises(ValueError, match=message):
+    planner.solve('nobody', **arguments)
 
 
 def test_a_plan_survives_pushes(policy: pretrained.Policy) -> None:
   """Open loop the robot ends where it was pushed to; replanning it returns."""
-  solver = _solver(policy, _CONFIG, beam_search.BeamConfig(3, attempts=1))
-  lost = replanning.solve(solver, _PUSHES)
+  solver = planning.Solver(
+    policy, 'flat', _CONFIG, beam_search.BeamConfig(3, attempts=1), 1
+  )
+  lost = replanning.follow(solver, _PUSHES)
   reports: list[planning.Status] = []
-  found = replanning.solve(solver, _PUSHES, 2, reports.append)
-  assert not lost.success
-  assert found.success
+  found = replanning.follow(solver, _PUSHES, 2, reports.append)
+  assert (lost.success, found.success) == (False, True)
   assert lost.final_position[0] < 0.35 < found.final_position[0]
   # Nobody knows of the pushes beforehand.
   assert found.plan.modes[:6] == lost.plan.modes[:6]
@@ -57,10 +81,8 @@ def test_a_plan_survives_pushes(policy: pretrained.Policy) -> None:
   assert found.rollouts > lost.rollouts
   assert found.control_steps > lost.control_steps
   for each in (lost, found):
-    assert len(each.plan.modes) == 11
     assert each.path.shape == (110, 3)
-    arena = track.make('flat')
-    again = planning.replay(policy, arena, _CONFIG, each.plan, _PUSHES)
+    again = replay.replay(policy, _CONFIG, each.plan, _PUSHES)
     np.testing.assert_array_equal(again.paths[0], each.path)
     assert again.returns[0] == pytest.approx(each.episode_return)
     assert again.success[0] == each.success
@@ -69,8 +91,10 @@ def test_a_plan_survives_pushes(policy: pretrained.Policy) -> None:
 def test_without_pushes_the_first_plan_is_kept(
   policy: pretrained.Policy,
 ) -> None:
-  solver = _solver(policy, _SHORT, beam_search.BeamConfig(2, attempts=1))
-  open_loop, found = solver.solve(), replanning.solve(solver, every=1)
+  solver = planning.Solver(
+    policy, 'flat', _SHORT, beam_search.BeamConfig(2, attempts=1), 1
+  )
+  open_loop, found = solver.solve(), replanning.follow(solver, every=1)
   assert found.success
   assert found.plan == open_loop.plan
   np.testing.assert_array_equal(found.path, open_loop.path)
@@ -78,16 +102,18 @@ def test_without_pushes_the_first_plan_is_kept(
   # It is tried again at three knots, each of 10 control steps.
   assert found.control_steps == open_loop.control_steps + 10 * (3 + 2 + 1)
   for every in (0, 99):
-    found = replanning.solve(solver, every=every)
+    found = replanning.follow(solver, every=every)
     assert found.plan == open_loop.plan
     assert found.control_steps == open_loop.control_steps
 
 
 def test_q_learning_replans(policy: pretrained.Policy) -> None:
   config = dataclasses.replace(_SHORT, goal=(5.0, 0.0, 0.5))
-  solver = _solver(policy, config, q_learning.QLearningConfig(2, 3))
+  solver = planning.Solver(
+    policy, 'flat', config, q_learning.QLearningConfig(2, 3), 1
+  )
   reports: list[planning.Status] = []
-  found = replanning.solve(solver, every=3, report=reports.append)
+  found = replanning.follow(solver, every=3, report=reports.append)
   assert len(found.plan.modes) == 4
   searches = [status.search for status in reports]
   assert searches == ['2 trials from 0.00 s'] * 3 + ['2 trials from 0.90 s'] * 3
@@ -96,29 +122,23 @@ def test_q_learning_replans(policy: pretrained.Policy) -> None:
 def test_for_a_fallen_robot_nothing_is_planned(
   policy: pretrained.Policy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-  solver = _solver(policy, _CONFIG, beam_search.BeamConfig(1, attempts=1))
-  found = solver.solve()._replace(success=False)
+  solver = planning.Solver(
+    policy, 'flat', _CONFIG, beam_search.BeamConfig(1, attempts=1), 1
+  )
+  found = solver.solve()
   asked: list[int] = []
 
-  def solve(report: Any, robot: Any, guess: Any) -> planning.Found:
+  def solve(report: Any, robot: Any, guess: Any) -> plan_lib.PlanResult:
     asked.append(robot.remaining)
     rest = found.plan.modes[: robot.remaining]
     plan = plan_lib.ModePlan(rest, found.plan.knot_duration)
-    return found._replace(plan=plan, control_steps=1)
+    return dataclasses.replace(found, success=False, plan=plan, control_steps=1)
 
   monkeypatch.setattr(solver, 'solve', solve)
   shove = pushes_lib.Push(0.6, (0.0, 6.0, 0.0))
-  fallen = replanning.solve(solver, [shove], 2)
+  fallen = replanning.follow(solver, [shove], 2)
   assert not fallen.success
   assert asked[:2] == [11, 9] and len(asked) < 5
   assert fallen.control_steps == len(asked)
   assert len(fallen.plan.modes) == 11
   assert (fallen.path[-30:] == fallen.path[-1]).all()
-
-
-def test_rejects(policy: pretrained.Policy) -> None:
-  solver = _solver(policy, _SHORT, beam_search.BeamConfig(1))
-  with pytest.raises(ValueError, match='replan_every must not be negative'):
-    replanning.solve(solver, every=-1)
-  with pytest.raises(ValueError, match='outside of the plan'):
-    replanning.solve(solver, [pushes_lib.Push(1.2, (1.0, 0.0, 0.0))])

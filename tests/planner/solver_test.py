@@ -1,4 +1,4 @@
-"""Tests of dmc_multimode.planner.planning, with a policy that can walk."""
+"""Tests of dmc_multimode.planner.solver, with a policy that can walk."""
 
 import dataclasses
 from typing import Any
@@ -9,17 +9,16 @@ import pytest
 
 from dmc_multimode import pretrained
 from dmc_multimode.agents.ppo import acting
-from dmc_multimode.arenas import track
 from dmc_multimode.planner import beam_search as search
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import problem as problem_lib
-from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.planner import q_learning
 from dmc_multimode.planner import solver as planning
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes
 from dmc_multimode.suite.reaching import problem as reaching
+from tests.planner import replay
 
 _CONFIG = reaching.ReachingConfig((0.8, 0.0, 0.5), 5, 0.3)
 _PLANNERS = (
@@ -34,13 +33,11 @@ def policy() -> pretrained.Policy:
 
 
 @pytest.mark.parametrize('planner', _PLANNERS)
-def test_solve_and_replay(
+def test_solve(
   policy: pretrained.Policy, planner: planning.PlannerConfig
 ) -> None:
   reports: list[planning.Status] = []
-  solver = planning.Solver(
-    policy, lambda: track.make('flat'), _CONFIG, planner, num_threads=1
-  )
+  solver = planning.Solver(policy, 'flat', _CONFIG, planner, num_threads=1)
   found = solver.solve(reports.append)
   assert found.success
   assert found.final_position[0] == pytest.approx(0.8, abs=0.3)
@@ -56,7 +53,7 @@ def test_solve_and_replay(
     'beams from 0.00 s',
     'trials from 0.00 s',
   }
-  replayed = planning.replay(policy, track.make('flat'), _CONFIG, found.plan)
+  replayed = replay.replay(policy, _CONFIG, found.plan)
   np.testing.assert_array_equal(replayed.paths[0], found.path)
   np.testing.assert_array_equal(_in_composer(policy, found), found.path)
   again = solver.solve()
@@ -65,7 +62,7 @@ def test_solve_and_replay(
 
 
 def _in_composer(
-  policy: pretrained.Policy, found: planning.Found
+  policy: pretrained.Policy, found: plan_lib.PlanResult
 ) -> np.ndarray:
   """Returns the path of the plan in a Composer environment."""
   config = dataclasses.replace(
@@ -94,7 +91,7 @@ def test_pi2_crosses_the_papers_tracks(name: str) -> None:
   """Table III, with the first and smallest of the beam's attempts."""
   solver = planning.Solver(
     pretrained.load('pi2'),
-    lambda: track.make(name),
+    name,
     reaching.PROBLEMS[name].config(0),
     search.BeamConfig(attempts=1),
   )
@@ -106,35 +103,11 @@ def test_pi2_crosses_the_papers_tracks(name: str) -> None:
   assert found.solve_seconds > 0
 
 
-def test_replay_rejects_another_plan(policy: pretrained.Policy) -> None:
-  plan = plan_lib.ModePlan(('idle',) * 4, 0.3)
-  with pytest.raises(ValueError, match='other knots'):
-    planning.replay(policy, track.make('flat'), _CONFIG, plan)
-  plan = plan_lib.ModePlan(('idle',) * 4 + ('launch',), 0.3)
-  with pytest.raises(ValueError, match="'launch', which the policy does not"):
-    planning.replay(policy, track.make('flat'), _CONFIG, plan)
-
-
-def test_replay_with_pushes(policy: pretrained.Policy) -> None:
-  plan = plan_lib.ModePlan(('walk_forward',) * 5, 0.3)
-  arena = track.make('flat')
-  plain = planning.replay(policy, arena, _CONFIG, plan)
-  pushes = [pushes_lib.Push(0.6, (-0.5, 0.0, 0.0))]
-  pushed = planning.replay(policy, track.make('flat'), _CONFIG, plan, pushes)
-  assert pushed.alive[0]
-  assert pushed.position[0, 0] < plain.position[0, 0] - 0.05
-  with pytest.raises(ValueError, match='not at a knot'):
-    pushes = [pushes_lib.Push(0.7, (-0.5, 0.0, 0.0))]
-    planning.replay(policy, track.make('flat'), _CONFIG, plan, pushes)
-
-
 def test_what_cannot_be_reached(policy: pretrained.Policy) -> None:
   """Twice the beams are no use, and the best plan counts, which is alive."""
   config = dataclasses.replace(_CONFIG, goal=(5.0, 0.0, 0.5))
   planner = search.BeamConfig(2, attempts=2)
-  solver = planning.Solver(
-    policy, lambda: track.make('flat'), config, planner, num_threads=1
-  )
+  solver = planning.Solver(policy, 'flat', config, planner, num_threads=1)
   reports: list[planning.Status] = []
   found = solver.solve(reports.append)
   assert not found.success
@@ -145,7 +118,7 @@ def test_what_cannot_be_reached(policy: pretrained.Policy) -> None:
   worlds, alone = 3 * (2 + 4), 6 + 10  # At first there are 6 plans in all.
   assert found.rollouts == 5 * worlds
   assert found.control_steps <= 50 * (worlds + alone)
-  replayed = planning.replay(policy, track.make('flat'), config, found.plan)
+  replayed = replay.replay(policy, config, found.plan)
   np.testing.assert_array_equal(replayed.paths[0], found.path)
 
 
@@ -166,9 +139,7 @@ def test_more_beams_find_what_fewer_do_not(
 
   monkeypatch.setattr(search, 'beam_search', beam_search)
   asked: list[tuple[int, int]] = []
-  solver = planning.Solver(
-    policy, lambda: track.make('flat'), _CONFIG, search.BeamConfig(1), 1
-  )
+  solver = planning.Solver(policy, 'flat', _CONFIG, search.BeamConfig(1), 1)
   for _ in range(2):
     found = solver.solve()
     assert found.success
@@ -181,9 +152,7 @@ def test_more_beams_find_what_fewer_do_not(
 
 def test_from_where_a_robot_is(policy: pretrained.Policy) -> None:
   """The plan is of the knots that are left, and a good guess is kept."""
-  solver = planning.Solver(
-    policy, lambda: track.make('flat'), _CONFIG, search.BeamConfig(3, 1), 1
-  )
+  solver = planning.Solver(policy, 'flat', _CONFIG, search.BeamConfig(3, 1), 1)
   robot = solver.make_robot()
   for _ in range(3):
     robot.run_knot(np.array([1]))

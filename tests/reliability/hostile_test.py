@@ -108,7 +108,7 @@ def _read_previous(folder: pathlib.Path) -> None:
 
 
 def _read_plan(name: str) -> _Read:
-  return lambda folder: plan_lib.read(folder / name)
+  return lambda folder: plan_lib.PlanFile.read(folder / name)
 
 
 _READERS: list[tuple[str, _Write, _Read]] = [
@@ -411,7 +411,7 @@ def _only_a_value_error(call: Callable[[], Any]) -> None:
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(st.dictionaries(st.sampled_from(sorted(_PLAN)), _VALUES, min_size=1))
 def test_values_of_a_plan(changes: dict[str, Any]) -> None:
-  _only_a_value_error(lambda: plan_lib.course({**_PLAN, **changes}))
+  _only_a_value_error(lambda: plan_lib.PlanFile.from_dict({**_PLAN, **changes}))
 
 
 @settings(max_examples=200, deadline=None, derandomize=True)
@@ -427,7 +427,7 @@ def test_edits_of_a_plan(
   valid = json.dumps(_PLAN)
   edited = valid[:start] + text + valid[start + cut :]
   path.write_bytes(edited.encode('utf-8', 'surrogatepass'))
-  _only_a_value_error(lambda: plan_lib.course(plan_lib.read(path)))
+  _only_a_value_error(lambda: plan_lib.PlanFile.read(path))
 
 
 @pytest.mark.parametrize(
@@ -444,7 +444,7 @@ def test_edits_of_a_plan(
 )
 def test_plans_that_once_got_through(changes: dict[str, Any]) -> None:
   with pytest.raises(ValueError) as caught:
-    plan_lib.course({**_PLAN, **changes})
+    plan_lib.PlanFile.from_dict({**_PLAN, **changes})
   assert len(str(caught.value)) < 1000
 
 

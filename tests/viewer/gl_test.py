@@ -58,10 +58,22 @@ def test_a_users_choice_that_fails_is_named(
     gl.choose_backend(_only('egl'))
 
 
-def test_too_late_after_dm_control(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.gl
+def test_after_dm_control(monkeypatch: pytest.MonkeyPatch) -> None:
+  """It draws all the same, as long as nothing has been drawn."""
+  script = (
+    'from dm_control import mujoco; from dmc_multimode.viewer import gl;'
+    'gl.choose_backend();'
+    "physics = mujoco.Physics.from_xml_string('<mujoco/>');"
+    'print(physics.render(16, 16).shape)'
+  )
+  result = _run({'MUJOCO_GL': ''}, '-c', script)
+  assert result.returncode == 0, result.stderr
+  assert result.stdout.splitlines()[-1] == '(16, 16, 3)'
+  # What dm_control has taken stays, and is not tried again.
+  monkeypatch.setenv('MUJOCO_GL', 'glfw')
   monkeypatch.setitem(sys.modules, 'dm_control._render', os)
-  with pytest.raises(RuntimeError, match='before importing dm_control'):
-    gl.choose_backend(_only('egl'))
+  assert gl.choose_backend(_only('egl')) == 'glfw'
 
 
 def test_a_probe_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -70,9 +82,11 @@ def test_a_probe_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
   assert 'no frame within' in str(gl.why_not('egl'))
 
 
-def _run(environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
+def _run(
+  environment: dict[str, str], *arguments: str
+) -> subprocess.CompletedProcess[str]:
   return subprocess.run(
-    [sys.executable, '-m', 'dmc_multimode.viewer.gl'],
+    [sys.executable, *(arguments or ('-m', 'dmc_multimode.viewer.gl'))],
     env={**os.environ, **environment},
     capture_output=True,
     text=True,

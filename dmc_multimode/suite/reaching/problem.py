@@ -108,16 +108,18 @@ TRACKS = (*PROBLEMS, RANDOM_TRACK)
 def problem(
   track: str, terrain: terrain_lib.Terrain, seed: int = 0
 ) -> ReachingConfig:
-  """Returns what is asked on a track.
+  """Returns what is asked on a track: the paper's problem, or to cross it.
 
   Args:
-    track: one of `TRACKS`.
+    track: its name.
     terrain: a batch of one, as the track drew it.
     seed: that it was drawn with.
   """
   if track in PROBLEMS:
     return PROBLEMS[track].config(seed)
   last = np.flatnonzero(np.isfinite(terrain.starts[0]))[-1]
+  if not last:  # Nothing to cross.
+    return ReachingConfig(seed=seed)
   x = float(terrain.starts[0, last]) + _BEYOND
   z = float(terrain.tops[0, last]) + library.STAND_HEIGHT
   return ReachingConfig(

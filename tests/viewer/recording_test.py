@@ -1,0 +1,97 @@
+"""Tests of dmc_multimode.viewer: roll-outs, captions, recordings."""
+
+import pathlib
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dmc_multimode import pretrained
+from dmc_multimode import viewer
+from dmc_multimode.planner import plan as plan_lib
+from dmc_multimode.planner import pushes as pushes_lib
+from dmc_multimode.suite.reaching import problem as reaching
+from dmc_multimode.viewer import captions
+from dmc_multimode.viewer import rollout
+from tests.planner import replay
+
+
+@pytest.mark.gl
+def test_record(tmp_path: pathlib.Path) -> None:
+  """A schedule, and a plan on its track, by names and by objects."""
+  policy, out = pretrained.load('quickstart'), tmp_path / 'video.gif'
+  small = viewer.RecordingConfig(width=32, height=16)
+  course = plan_lib.Course('gap', {'width': 0.2}, 1)
+  plan = plan_lib.PlanFile(plan_lib.ModePlan(('idle', 'idle'), 0.15), course)
+  plan.write(tmp_path / 'plan.json')
+  made = []
+  for arguments in (
+    {'policy': 'quickstart', 'schedule': 'walk_forward:0.12,idle:0.06'},
+    {'policy': policy, 'schedule': [('walk_forward', 0.12), ('idle', 0.06)]},
+    {'policy': policy, 'plan': plan},
+    {'policy': 'quickstart', 'plan': tmp_path / 'plan.json'},
+  ):
+    made.append(viewer.record(**arguments, out=out, config=small, quiet=True))
+    assert out.read_bytes().startswith(b'GIF8')
+    out.unlink()
+  assert made[0] == made[1] and made[2] == made[3]
+  first, second = made[0].outcomes
+  assert (first.mode, first.cause, made[0].steps) == ('walk_forward', 'none', 6)
+  assert str(second).startswith('idle: survived, mean speed')
+  assert [outcome.mode for outcome in made[2].outcomes] == ['idle']
+
+
+@pytest.mark.parametrize(
+  ('arguments', 'message'),
+  [
+    ({}, 'a schedule or a plan'),
+    ({'schedule': 'idle:1', 'plan': 'plan.json'}, 'a schedule or a plan'),
+    ({'schedule': 'idle:1', 'out': 'video.avi'}, 'must end in .mp4'),
+    ({'schedule': 'idle'}, 'idle'),
+  ],
+)
+def test_record_rejects(arguments: dict[str, Any], message: str) -> None:
+  with pytest.raises(ValueError, match=message):
+    viewer.record('nobody', **arguments)
+
+
+def test_pushes_as_in_the_plan() -> None:
+  """The video's engine goes where the planner's does, bit for bit."""
+  policy = pretrained.load('quickstart')
+  pushes = (
+    pushes_lib.Push(0.3, (-0.6, 0.2, 0.0)),
+    pushes_lib.Push(0.0, (0.2, 0.0, 0.0)),
+  )
+  plan = plan_lib.ModePlan(('walk_forward', 'walk_forward', 'idle'), 0.3)
+  config = reaching.ReachingConfig((0.5, 0.0, 0.5), 3, 0.3, seed=4)
+  planned = replay.replay(policy, config, plan, pushes)
+  names, durations = plan.segments()
+  for pushed in (pushes, ()):
+    roll = rollout.Rollout(
+      policy,
+      rollout.RolloutConfig(
+        tuple(names), tuple(durations), seed=4, pushes=pushed
+      ),
+    )
+    roll.start()
+    path = np.array([step.position for step in roll.steps()])
+    same = np.array_equal(path, planned.paths[0])
+    assert same == bool(pushed)
+
+
+def test_pushes_are_written_into_the_frames() -> None:
+  policy = pretrained.load('quickstart')
+  roll = rollout.Rollout(
+    policy,
+    rollout.RolloutConfig(
+      ('idle',), (1.2,), pushes=(pushes_lib.Push(0.3, (0.5, 0.0, 0.0)),)
+    ),
+  )
+  caption, frame = captions.Captions(roll), np.zeros((240, 320, 3), np.uint8)
+  step = rollout.Step(0, 0.0, 'idle', np.zeros(3), 0.5, 0.5, 0.0, 1.0, 'none')
+  texts = {
+    time: caption.draw(frame, step._replace(time=time))[:220]
+    for time in (0.29, 0.33, 0.89, 0.95)
+  }
+  heights = [(text > 0).any(axis=(1, 2)).sum() for text in texts.values()]
+  assert heights[1] == heights[2] > heights[0] == heights[3]
