@@ -62,6 +62,7 @@ def test_solve_rejects(arguments: dict[str, Any], message: str) -> None:
     planner.solve('nobody', **arguments)
 
 
+@pytest.mark.slow
 def test_a_plan_survives_pushes(policy: pretrained.Policy) -> None:
   """Open loop the robot ends where it was pushed to; replanning it returns."""
   solver = planning.Solver(

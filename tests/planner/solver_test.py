@@ -86,6 +86,7 @@ def _in_composer(
   return np.array(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', reaching.PROBLEMS)
 def test_pi2_crosses_the_papers_tracks(name: str) -> None:
   """Table III, with the first and smallest of the beam's attempts."""
