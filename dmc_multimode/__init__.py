@@ -1,1 +1,3 @@
 """Multimodal bipedal locomotion for dm_control."""
+
+__version__ = '0.1.0'

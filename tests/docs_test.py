@@ -12,6 +12,8 @@ from typing import Any
 import pytest
 import yaml
 
+import dmc_multimode
+
 _ROOT = pathlib.Path(__file__).resolve().parent.parent
 _NOTEBOOK = _ROOT / 'docs' / 'tour.ipynb'
 _PAGES = sorted(
@@ -88,8 +90,8 @@ def test_citation() -> None:
   assert citation['cff-version'] == '1.2.0'
   setup = configparser.ConfigParser(interpolation=None)
   setup.read(_ROOT / 'setup.cfg')
-  for key in ('version', 'license'):
-    assert citation[key] == setup['metadata'][key]
+  assert citation['license'] == setup['metadata']['license']
+  assert citation['version'] == dmc_multimode.__version__
   (paper,) = citation['references']
   assert [author['family-names'] for author in paper['authors']] == [
     'Krishna',

@@ -1,4 +1,4 @@
-"""What `setup.cfg` says is what is there, and what a wheel holds."""
+"""What a wheel holds, and what it and an editable install are to users."""
 
 import configparser
 import os
@@ -6,6 +6,7 @@ import pathlib
 import shutil
 import subprocess
 import sys
+import sysconfig
 import zipfile
 
 import pytest
@@ -14,37 +15,23 @@ _ROOT = pathlib.Path(__file__).resolve().parent.parent
 _DATA = {  # Folder -> pattern of the files that must be shipped.
   'xml': '*.xml',
   'flags': '*.flags',
-  'dmc_multimode/pretrained': '**/*',
+  'pretrained': '**/*',
 }
-
-
-def _config() -> configparser.ConfigParser:
-  config = configparser.ConfigParser(interpolation=None)
-  config.read(_ROOT / 'setup.cfg')
-  return config
+_USER = _ROOT / 'tests' / 'typing' / 'user_script.py'
 
 
 def _list(section: str, option: str) -> list[str]:
-  return _config()[section][option].split()
+  config = configparser.ConfigParser(interpolation=None)
+  config.read(_ROOT / 'setup.cfg')
+  return config[section][option].strip().splitlines()
 
 
-def _data_files() -> set[str]:
-  """Names that the files to ship have inside a wheel."""
-  return {
-    f'dmc_multimode/{path.relative_to((_ROOT / folder).parent).as_posix()}'
-    for folder, pattern in _DATA.items()
-    for path in (_ROOT / folder).glob(pattern)
-    if path.is_file() and path.suffix not in ('.py', '.pyc')
-  }
-
-
-def test_every_subpackage_is_listed() -> None:
-  found = {
-    '.'.join(path.parent.relative_to(_ROOT).parts)
-    for path in (_ROOT / 'dmc_multimode').rglob('__init__.py')
-  }
-  mapped = {'dmc_multimode.flags', 'dmc_multimode.xml'}
-  assert set(_list('options', 'packages')) == found | mapped
+def _run(*command: str | pathlib.Path) -> str:
+  done = subprocess.run(
+    list(map(str, command)), capture_output=True, text=True, cwd='/'
+  )
+  assert done.returncode == 0, done.stdout + done.stderr
+  return done.stdout
 
 
 def test_mujoco_stays_below_4() -> None:
@@ -52,8 +39,7 @@ def test_mujoco_stays_below_4() -> None:
 
 
 def test_scripts_name_modules_with_a_cli() -> None:
-  scripts = _config()['options.entry_points']['console_scripts']
-  for line in scripts.strip().splitlines():
+  for line in _list('options.entry_points', 'console_scripts'):
     script, target = line.split(' = ')
     module, function = target.split(':')
     name = module.rpartition('.')[2]
@@ -67,34 +53,37 @@ def test_scripts_name_modules_with_a_cli() -> None:
 def test_the_checkout_does_not_hide_the_standard_library() -> None:
   """`xml/__init__.py` would: the root is first on the path of `python -m`."""
   code = 'import xml.etree.ElementTree as t; print(t.__file__)'
-  result = subprocess.run(
-    [sys.executable, '-c', code], cwd=_ROOT, capture_output=True, text=True
+  found = subprocess.check_output(
+    [sys.executable, '-c', code], cwd=_ROOT, text=True
   )
-  assert result.returncode == 0, result.stderr
-  assert not pathlib.Path(result.stdout.strip()).is_relative_to(_ROOT / 'xml')
+  assert not pathlib.Path(found.strip()).is_relative_to(_ROOT)
 
 
 @pytest.fixture(scope='module')
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
-  """A wheel built from a copy: builds leave files in their tree."""
+def source(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
+  """A copy of the checkout: builds leave files in their tree."""
   pytest.importorskip('setuptools', minversion='77')
-  folder = tmp_path_factory.mktemp('wheel')
-  source = folder / 'source'
-  source.mkdir()
+  folder = tmp_path_factory.mktemp('checkout')
   for name in ('dmc_multimode', 'flags', 'xml'):
     ignore = shutil.ignore_patterns('__pycache__')
-    shutil.copytree(_ROOT / name, source / name, ignore=ignore)
+    shutil.copytree(_ROOT / name, folder / name, symlinks=True, ignore=ignore)
   for name in ('setup.cfg', 'pyproject.toml', 'LICENSE', 'README.md'):
-    if (_ROOT / name).exists():
-      shutil.copy(_ROOT / name, source)
+    shutil.copy(_ROOT / name, folder)
+  return folder
+
+
+@pytest.fixture(scope='module')
+def wheel(
+  source: pathlib.Path, tmp_path_factory: pytest.TempPathFactory
+) -> pathlib.Path:
+  folder = tmp_path_factory.mktemp('wheel')
   command = [sys.executable, '-m', 'pip', 'wheel', '--no-deps', '--no-index']
-  command += ['--no-build-isolation', '-w', str(folder), str(source)]
-  result = subprocess.run(command, capture_output=True, text=True)
-  assert result.returncode == 0, result.stdout + result.stderr
+  _run(*command, '--no-build-isolation', '-w', folder, source)
   [built] = folder.glob('dmc_multimode-*.whl')
   return built
 
 
+@pytest.mark.slow
 def test_wheel_holds_code_and_data(wheel: pathlib.Path) -> None:
   with zipfile.ZipFile(wheel) as archive:
     held = set(archive.namelist())
@@ -102,31 +91,83 @@ def test_wheel_holds_code_and_data(wheel: pathlib.Path) -> None:
     path.relative_to(_ROOT).as_posix()
     for path in (_ROOT / 'dmc_multimode').rglob('*.py')
   }
-  assert 'dmc_multimode/xml/mini_biped.xml' in held
-  assert code | _data_files() <= held
+  package = _ROOT / 'dmc_multimode'
+  data = {
+    path.relative_to(_ROOT).as_posix()
+    for folder, pattern in _DATA.items()
+    for path in (package / folder).glob(pattern)
+    if path.is_file() and path.suffix not in ('.py', '.pyc')
+  }
+  assert 'dmc_multimode/xml/mini_biped.xml' in data
+  assert 'dmc_multimode/flags/pi2.flags' in data
+  assert code | data | {'dmc_multimode/py.typed'} <= held
   tops = {name.split('/')[0] for name in held}
   assert tops == {'dmc_multimode', next(t for t in tops if 'dist-info' in t)}
   assert any(name.endswith('LICENSE') for name in held)
 
 
-def test_resources_of_an_unpacked_wheel(
-  wheel: pathlib.Path, tmp_path: pathlib.Path
-) -> None:
-  site = tmp_path / 'site'
-  with zipfile.ZipFile(wheel) as archive:
-    archive.extractall(site)
+@pytest.fixture(scope='module', params=['wheel', 'editable'])
+def python(
+  request: pytest.FixtureRequest,
+  source: pathlib.Path,
+  tmp_path_factory: pytest.TempPathFactory,
+) -> pathlib.Path:
+  """The interpreter of a fresh environment with the package in it.
+
+  It sees what this environment has, but for the package that is tested.
+  """
+  folder = tmp_path_factory.mktemp('environment')
+  _run(sys.executable, '-m', 'venv', '--without-pip', folder)
+  python = folder / 'bin' / 'python'
+  code = 'import sysconfig; print(sysconfig.get_path("purelib"))'
+  site = pathlib.Path(_run(python, '-c', code).strip())
+  (site / 'rest.pth').write_text(sysconfig.get_path('purelib'))
+  install = [sys.executable, '-m', 'pip', '--python', python, 'install']
+  what = (
+    [request.getfixturevalue('wheel')]
+    if request.param == 'wheel'
+    else ['--no-build-isolation', '--editable', source]
+  )
+  _run(*install, '--ignore-installed', '--no-deps', '--no-index', *what)
+  code = 'import dmc_multimode; print(dmc_multimode.__file__)'
+  found = pathlib.Path(_run(python, '-c', code).strip())
+  assert found.is_relative_to(site if request.param == 'wheel' else source)
+  return python
+
+
+@pytest.mark.slow
+def test_resources_are_found(python: pathlib.Path) -> None:
   code = (
     'from dmc_multimode.utils import resources as r; '
-    "print(r.path('xml', 'mini_biped.xml'), *r.names('flags'))"
+    "print(r.path('xml', 'mini_biped.xml').is_file(), *r.names('flags'))"
   )
-  result = subprocess.run(
-    [sys.executable, '-S', '-c', code],  # -S: no editable install in the way.
-    env={**os.environ, 'PYTHONPATH': str(site)},
-    cwd=tmp_path,
-    capture_output=True,
-    text=True,
-  )
-  assert result.returncode == 0, result.stderr
-  found, *flags = result.stdout.split()
-  assert found == str(site / 'dmc_multimode' / 'xml' / 'mini_biped.xml')
+  found, *flags = _run(python, '-c', code).split()
+  assert found == 'True'
   assert flags == sorted(path.name for path in (_ROOT / 'flags').glob('*'))
+
+
+@pytest.mark.slow
+def test_mypy_checks_a_users_script(
+  python: pathlib.Path, tmp_path: pathlib.Path
+) -> None:
+  pytest.importorskip('mypy')
+  shutil.copy(_USER, tmp_path)
+  _run(
+    *(sys.executable, '-m', 'mypy', '--strict', '--config-file='),
+    *(f'--python-executable={python}', f'--cache-dir={tmp_path}'),
+    tmp_path / _USER.name,
+  )
+
+
+@pytest.mark.slow
+def test_pyright_checks_a_users_script(
+  python: pathlib.Path, tmp_path: pathlib.Path
+) -> None:
+  pytest.importorskip('pyright')
+  if os.system(f'{sys.executable} -m pyright --version >/dev/null 2>&1'):
+    pytest.skip('pyright cannot fetch what it runs on.')
+  shutil.copy(_USER, tmp_path)
+  _run(
+    *(sys.executable, '-m', 'pyright', '--pythonpath', python),
+    tmp_path / _USER.name,
+  )

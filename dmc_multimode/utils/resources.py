@@ -1,8 +1,7 @@
 """Where the files that ship with the package lie.
 
-One call serves a wheel, an editable install and a plain checkout. In a wheel
-the folders `xml/`, `flags/` and `pretrained/` lie inside the package; in a
-checkout the first two lie beside it (`setup.cfg` maps them).
+The folders `xml/`, `flags/` and `pretrained/` lie inside the package. In a
+checkout the first two are links to the folders beside it.
 """
 
 import pathlib
@@ -51,14 +50,10 @@ def names(kind: Kind) -> list[str]:
 
 
 def _folder(kind: Kind) -> pathlib.Path:
-  """The folder of a kind: inside the package, or beside it in a checkout."""
+  """Returns the folder of a kind."""
   if kind not in get_args(Kind):
     raise ValueError(f'kind must be one of {get_args(Kind)}, got {kind!r}')
-  inside = _PACKAGE / kind
-  beside = _PACKAGE.parent / kind
-  is_checkout = (_PACKAGE.parent / 'setup.cfg').is_file()
-  if not inside.is_dir() and is_checkout and beside.is_dir():
-    return beside
-  if inside.is_dir():
-    return inside
-  raise FileNotFoundError(f'no folder {inside}: the installation is damaged')
+  folder = _PACKAGE / kind
+  if not folder.is_dir():
+    raise FileNotFoundError(f'no folder {folder}: the installation is damaged')
+  return folder
