@@ -32,7 +32,7 @@ def _wrapper(name: str) -> Any:
 def _worlds(**kwargs: Any) -> batched_env.BatchedImitation:
   """Three worlds that stand for three control steps."""
   task = multimode_biped.make_task(
-    library.resolve('idle'),
+    library.mode_set('idle'),
     config=task_config.ImitationConfig(time_limit=_HORIZON * 0.03),
   )
   return batched_env.BatchedImitation(task, 3, seed=0, num_threads=1, **kwargs)
