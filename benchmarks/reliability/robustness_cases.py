@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from dmc_multimode.evaluation import evaluator
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
@@ -102,12 +102,12 @@ class Worlds(batched_env.BatchedImitation):
 
 
 def _with_edge(
-  motion: reference.ReferenceMotion, offset: float
-) -> reference.ReferenceMotion:
+  motion: motion_lib.ReferenceMotion, offset: float
+) -> motion_lib.ReferenceMotion:
   """Returns the mode with the edge of its step elsewhere."""
-  if motion.step is None:
+  if motion.ledge is None:
     return motion
-  edge = motion.step.edge + offset
+  edge = motion.ledge.edge + offset
   return dataclasses.replace(
-    motion, step=reference.TerrainStep(edge, motion.step.height)
+    motion, ledge=motion_lib.Ledge(edge, motion.ledge.height)
   )

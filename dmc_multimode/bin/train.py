@@ -39,7 +39,7 @@ from dmc_multimode.experiments import setup
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set as mode_set_lib
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes.encoder import training as encoder_training
 from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.suite.imitation import symmetry as task_symmetry
@@ -121,7 +121,7 @@ def _with_flags(config: setup.RunConfig) -> setup.RunConfig:
 
 def _configure(
   start: fine_tuning.Start | None,
-) -> tuple[setup.RunConfig, tuple[reference.ReferenceMotion, ...]]:
+) -> tuple[setup.RunConfig, tuple[motion_lib.ReferenceMotion, ...]]:
   """Returns configuration and modes of a new run, as the flags say."""
   extra = mode_files.load(_MODE_FILE.value) if _MODE_FILE.value else ()
   defaults = _DEFAULTS
@@ -172,7 +172,7 @@ def _begin(directory: pathlib.Path, size: int) -> setup.Ingredients:
 
 
 def _train_encoder(
-  motions: tuple[reference.ReferenceMotion, ...], seed: int
+  motions: tuple[motion_lib.ReferenceMotion, ...], seed: int
 ) -> encoder_training.ModeEncoder:
   print('Training the mode encoder.', flush=True)
   contacts = encoder_training.needs_contacts(motions)

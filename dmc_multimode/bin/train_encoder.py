@@ -19,7 +19,7 @@ from dmc_multimode.bin import app
 from dmc_multimode.evaluation import figures
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes.encoder import network
 from dmc_multimode.modes.encoder import training as encoder_training
 
@@ -40,7 +40,7 @@ def main(argv: Sequence[str]) -> None:
   """Checks the input, trains, then writes; `argv` holds no flags."""
   del argv
   motions = _motions(_MODES.value, _MODE_FILE.value)
-  reference.check_names(motions)  # Refuses duplicates before a bar shows.
+  motion_lib.check_names(motions)  # Refuses duplicates before a bar shows.
   config = encoder_training.EncoderConfig(
     use_contacts=encoder_training.needs_contacts(motions), seed=_SEED.value
   )
@@ -115,7 +115,7 @@ def draw(trained: encoder_training.ModeEncoder) -> matplotlib.figure.Figure:
 
 def _motions(
   spec: str, mode_file: str | None
-) -> tuple[reference.ReferenceMotion, ...]:
+) -> tuple[motion_lib.ReferenceMotion, ...]:
   """Returns the modes of `spec`, and those of a user's file behind them."""
   extra = mode_files.load(mode_file) if mode_file else ()
   motions = library.resolve(spec, extra)
@@ -134,7 +134,7 @@ def _writable(out: str | None) -> pathlib.Path:
 
 
 def _train(
-  motions: Sequence[reference.ReferenceMotion],
+  motions: Sequence[motion_lib.ReferenceMotion],
   config: encoder_training.EncoderConfig,
 ) -> encoder_training.ModeEncoder:
   """Trains under a progress bar."""

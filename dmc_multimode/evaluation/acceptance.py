@@ -13,7 +13,7 @@ from typing import Callable, NamedTuple, Sequence
 import numpy as np
 
 from dmc_multimode.evaluation import gait_metrics
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import motion as motion_lib
 
 DURATION = 5.1  # Seconds that an episode takes to be judged by.
 
@@ -60,18 +60,18 @@ class Verdict(NamedTuple):
   kept: bool
 
 
-def promises(motion: reference.ReferenceMotion) -> tuple[Promise, ...]:
+def promises(motion: motion_lib.ReferenceMotion) -> tuple[Promise, ...]:
   """Returns what a mode promises, by the nature of its reference."""
-  if motion.kind == reference.STEADY:
+  if motion.kind == motion_lib.STEADY:
     return (Promise('drift', -np.inf, _DRIFT, gait_metrics.drift),)
-  if motion.kind == reference.TRANSIENT:
+  if motion.kind == motion_lib.TRANSIENT:
     return _of_jumps(motion)
   airborne = _time_in_the_air(motion)
   return _of_bounds(motion, airborne) if airborne else _of_gaits(motion)
 
 
 def judge(
-  motion: reference.ReferenceMotion, traces: Sequence[gait_metrics.Trace]
+  motion: motion_lib.ReferenceMotion, traces: Sequence[gait_metrics.Trace]
 ) -> tuple[Verdict, ...]:
   """Judges episodes of one mode, at clock rate 1, by what it promises."""
   verdicts = []
@@ -84,21 +84,21 @@ def judge(
   return tuple(verdicts)
 
 
-def _of_jumps(motion: reference.ReferenceMotion) -> tuple[Promise, ...]:
+def _of_jumps(motion: motion_lib.ReferenceMotion) -> tuple[Promise, ...]:
   """Promises of a mode that ends somewhere else."""
-  if motion.step is None:
+  if motion.ledge is None:
     return ()
-  step = motion.step.height
+  step = motion.ledge.height
   height = float(motion.positions[-1, 2]) - step
   stance = lambda trace: gait_metrics.stance(trace, step, height)
   return (Promise('stance', _STANCE, np.inf, stance),)
 
 
-def _of_gaits(motion: reference.ReferenceMotion) -> tuple[Promise, ...]:
+def _of_gaits(motion: motion_lib.ReferenceMotion) -> tuple[Promise, ...]:
   """Promises of a periodic mode that keeps to the ground."""
   result = []
   moved = motion.positions[-1] - motion.positions[0]
-  yaw = reference.yaw(motion.orientations)
+  yaw = motion_lib.yaw(motion.orientations)
   speed = float(np.linalg.norm(moved[:2])) / motion.duration
   if speed and not np.ptp(yaw):
     heading = moved[:2] / np.linalg.norm(moved[:2])
@@ -125,7 +125,7 @@ def _of_gaits(motion: reference.ReferenceMotion) -> tuple[Promise, ...]:
 
 
 def _of_bounds(
-  motion: reference.ReferenceMotion, airborne: float
+  motion: motion_lib.ReferenceMotion, airborne: float
 ) -> tuple[Promise, ...]:
   """Promises of a periodic mode that is `airborne` seconds of each cycle."""
   flight = Promise('flight', _FLIGHT * airborne, np.inf, gait_metrics.flight)
@@ -135,7 +135,7 @@ def _of_bounds(
   return (Promise('rise', _RISE * rise, np.inf, gait_metrics.rise), flight)
 
 
-def _time_in_the_air(motion: reference.ReferenceMotion) -> float:
+def _time_in_the_air(motion: motion_lib.ReferenceMotion) -> float:
   """Seconds of a cycle in which no foot should touch the ground."""
   if motion.contacts is None:
     return 0.0

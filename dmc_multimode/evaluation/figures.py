@@ -9,7 +9,7 @@ import matplotlib.figure
 import numpy as np
 
 from dmc_multimode.modes import mode_set as mode_set_lib
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.utils import files
 
@@ -163,7 +163,7 @@ def sequence(
     names = list(mode_set.names)
   motions = mode_set.subset(names).motions
   durations = [
-    motion.duration if motion.kind == reference.TRANSIENT else _SECONDS
+    motion.duration if motion.kind == motion_lib.TRANSIENT else _SECONDS
     for motion in motions
   ]
   schedule = schedule_lib.from_names(mode_set, names, durations)

@@ -16,7 +16,7 @@ from dmc_multimode.experiments import setup
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set as mode_set_lib
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes.encoder import extension
 from dmc_multimode.modes.encoder import training as encoder_training
 from dmc_multimode.pretrained import policy as policy_lib
@@ -34,7 +34,7 @@ _ANNEALING = (0.25, 0.85)  # From and to which share of the training.
 _FOCUS_SHARE, _ANCHOR_WEIGHT = 0.5, 0.3
 _QUIET_SHARE, _QUIET_START = 0.3, 0.5  # From which share of the training on.
 
-Motions = tuple[reference.ReferenceMotion, ...]
+Motions = tuple[motion_lib.ReferenceMotion, ...]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

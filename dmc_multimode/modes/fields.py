@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import transform
 
 from dmc_multimode.modes import library
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import motion as motion_lib
 
 MAX_KEYFRAMES = 1000
 MAX_DURATION = 60.0  # Seconds.
@@ -44,7 +44,7 @@ class FieldError(ValueError):
     return ''.join(words).lstrip('.') or 'mode'
 
 
-def to_dict(motion: reference.ReferenceMotion) -> dict[str, Any]:
+def to_dict(motion: motion_lib.ReferenceMotion) -> dict[str, Any]:
   """Returns a motion as plain data, as `motion` reads it."""
   keyframes: list[dict[str, Any]] = []
   for i, phase in enumerate(motion.phases.tolist()):
@@ -65,13 +65,13 @@ def to_dict(motion: reference.ReferenceMotion) -> dict[str, Any]:
     'mirror': motion.mirror,
     'half_cycle_symmetric': bool(motion.half_cycle_symmetric),
   }
-  if motion.step is not None:
-    step = {'edge': motion.step.edge, 'height': motion.step.height}
+  if motion.ledge is not None:
+    step = {'edge': motion.ledge.edge, 'height': motion.ledge.height}
     result['step'] = {key: float(value) for key, value in step.items()}
   return result
 
 
-def motions(data: Any) -> tuple[reference.ReferenceMotion, ...]:
+def motions(data: Any) -> tuple[motion_lib.ReferenceMotion, ...]:
   """Builds the modes of one file; raises FieldError."""
   if not (isinstance(data, Mapping) and 'modes' in data):
     return (motion(data, ()),)
@@ -79,7 +79,7 @@ def motions(data: Any) -> tuple[reference.ReferenceMotion, ...]:
   items = data['modes']
   if not isinstance(items, list) or not items:
     raise FieldError(('modes',), 'modes must be a list of at least one mode.')
-  found: dict[str, reference.ReferenceMotion] = {}
+  found: dict[str, motion_lib.ReferenceMotion] = {}
   for i, item in enumerate(items):
     one = motion(item, ('modes', i))
     if one.name in found:
@@ -89,22 +89,22 @@ def motions(data: Any) -> tuple[reference.ReferenceMotion, ...]:
   return tuple(found.values())
 
 
-def motion(data: Any, path: Path) -> reference.ReferenceMotion:
+def motion(data: Any, path: Path) -> motion_lib.ReferenceMotion:
   """Builds one mode; raises FieldError at the value that is wrong."""
   _check_fields(data, path, _REQUIRED, _OPTIONAL)
   name = _name(data, path)
   kind = data['kind']
-  if kind not in reference.KINDS:
-    kinds = ', '.join(reference.KINDS)
+  if kind not in motion_lib.KINDS:
+    kinds = ', '.join(motion_lib.KINDS)
     raise FieldError((*path, 'kind'), f'kind must be one of {kinds}.')
   frames = _keyframes(data['keyframes'], (*path, 'keyframes'))
   try:
-    return reference.ReferenceMotion(
+    return motion_lib.ReferenceMotion(
       name=name,
       kind=kind,
       duration=_duration(data['duration'], (*path, 'duration')),
       **frames,
-      step=_step(data.get('step'), (*path, 'step')),
+      ledge=_step(data.get('step'), (*path, 'step')),
       takeoff=_number(data.get('takeoff', 0.0), (*path, 'takeoff'), 0.0, 1.0),
       mirror=_mirror(data, path),
       half_cycle_symmetric=_flag(data, path, 'half_cycle_symmetric'),
@@ -184,7 +184,7 @@ def _contacts(data: Sequence[Any], path: Path) -> np.ndarray | None:
       message = 'contacts are missing here; give them in all keyframes or none.'
       raise FieldError((*path, i), message)
     where, row = (*path, i, 'contacts'), item['contacts']
-    valid = isinstance(row, Sequence) and len(row) == reference.NUM_FEET
+    valid = isinstance(row, Sequence) and len(row) == motion_lib.NUM_FEET
     if not valid or any(foot not in (0, 1) for foot in row):
       message = 'contacts must be [left, right], each 0 or 1.'
       raise FieldError(where, message)
@@ -267,7 +267,7 @@ def _vector(value: Any, path: Path, size: int, bound: float) -> list[float]:
   ]
 
 
-def _step(value: Any, path: Path) -> reference.TerrainStep | None:
+def _step(value: Any, path: Path) -> motion_lib.Ledge | None:
   if value is None:
     return None
   _check_fields(value, path, ('edge', 'height'), ())
@@ -275,4 +275,4 @@ def _step(value: Any, path: Path) -> reference.TerrainStep | None:
     _number(value[key], (*path, key), -MAX_DISTANCE, MAX_DISTANCE)
     for key in ('edge', 'height')
   )
-  return reference.TerrainStep(edge=edge, height=height)
+  return motion_lib.Ledge(edge=edge, height=height)

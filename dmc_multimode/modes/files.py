@@ -1,7 +1,7 @@
 """Users' own modes: YAML or JSON files to reference motions and back.
 
 A file holds one mode, or several under `modes:`. Its fields are those of
-`reference.ReferenceMotion`, with the keyframes as a list:
+`motion_lib.ReferenceMotion`, with the keyframes as a list:
 
   name: hop_in_place
   kind: periodic             # or transient, or steady
@@ -30,7 +30,7 @@ import yaml
 from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import fields
 from dmc_multimode.modes import mode_set as mode_set_lib
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.utils import files
 
 MAX_BYTES = 1_000_000
@@ -50,7 +50,7 @@ class ModeFileError(ValueError):
 
 def load(
   path: str | os.PathLike[str],
-) -> tuple[reference.ReferenceMotion, ...]:
+) -> tuple[motion_lib.ReferenceMotion, ...]:
   """Reads the modes of a YAML or JSON file, in their order there.
 
   Raises:
@@ -67,12 +67,12 @@ def load(
     _fail(path, line, str(error))
 
 
-def motion_to_dict(motion: reference.ReferenceMotion) -> dict[str, Any]:
+def motion_to_dict(motion: motion_lib.ReferenceMotion) -> dict[str, Any]:
   """Returns a motion as plain data, as a mode file would hold it."""
   return fields.to_dict(motion)
 
 
-def motion_from_dict(data: Mapping[str, Any]) -> reference.ReferenceMotion:
+def motion_from_dict(data: Mapping[str, Any]) -> motion_lib.ReferenceMotion:
   """Returns the motion that `motion_to_dict` wrote, exactly.
 
   Raises:

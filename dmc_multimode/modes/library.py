@@ -7,7 +7,7 @@ import numpy as np
 
 from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import mode_set as mode_set_lib
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.utils import resources
 
 STAND_HEIGHT = 0.5  # Nominal height of the trunk over its support, metres.
@@ -41,7 +41,7 @@ _LEAP_PHASES = (0.0, 0.25, 0.42, 0.56, 0.70, 0.83, 1.0)
 _LEAP_PROGRESS = (0.0, 0.07, 0.23, 0.50, 0.77, 0.92, 1.0)
 _LEAP_HEIGHTS = (0.50, 0.43, 0.57, 0.68, 0.57, 0.45, 0.50)
 
-_LAUNCH_STEP = reference.TerrainStep(edge=0.27, height=0.4)
+_LAUNCH_LEDGE = motion_lib.Ledge(edge=0.27, height=0.4)
 _LAUNCH_DURATION = 1.1  # Seconds.
 _LAUNCH_PHASES = (0.0, 0.25, 0.42, 0.55, 0.67, 0.82, 1.0)
 _LAUNCH_X = (0.0, 0.02, 0.11, 0.26, 0.43, 0.56, 0.60)
@@ -49,7 +49,7 @@ _LAUNCH_Z = (0.50, 0.40, 0.62, 0.90, 1.02, 0.88, 0.90)
 _LAUNCH_TAKEOFF, _LAUNCH_TOUCHDOWN = 0.42, 0.82
 
 # The way back: from the crouch over the edge, a fall of 0.33 s, a deep landing.
-_DESCENT_STEP = reference.TerrainStep(edge=0.2, height=-0.4)
+_DESCENT_LEDGE = motion_lib.Ledge(edge=0.2, height=-0.4)
 _DESCENT_DURATION = 1.0  # Seconds.
 _DESCENT_PHASES = (0.0, 0.20, 0.38, 0.55, 0.71, 0.84, 1.0)
 _DESCENT_X = (0.0, 0.02, 0.12, 0.29, 0.45, 0.53, 0.55)
@@ -61,10 +61,10 @@ def _upright(count: int) -> np.ndarray:
   return np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
 
 
-def _idle() -> reference.ReferenceMotion:
-  return reference.ReferenceMotion(
+def _idle() -> motion_lib.ReferenceMotion:
+  return motion_lib.ReferenceMotion(
     name='idle',
-    kind=reference.STEADY,
+    kind=motion_lib.STEADY,
     duration=_WALK_DURATION,
     phases=np.array([0.0, 1.0]),
     positions=np.tile([0.0, 0.0, STAND_HEIGHT], (2, 1)),
@@ -76,15 +76,15 @@ def _idle() -> reference.ReferenceMotion:
 
 def _level(
   name: str, direction: str, contacts: np.ndarray, in_sync: bool
-) -> reference.ReferenceMotion:
+) -> motion_lib.ReferenceMotion:
   """Constant height and speed; only the contacts tell walk from hop."""
   distance = _WALK_SPEEDS[direction] * _WALK_DURATION
   end = np.append(distance * np.array(_DIRECTIONS[direction]), STAND_HEIGHT)
   start = np.array([0.0, 0.0, STAND_HEIGHT])
   phases = np.linspace(0.0, 1.0, len(contacts))
-  return reference.ReferenceMotion(
+  return motion_lib.ReferenceMotion(
     name=f'{name}_{direction}',
-    kind=reference.PERIODIC,
+    kind=motion_lib.PERIODIC,
     duration=_WALK_DURATION,
     phases=phases,
     positions=start + phases[:, None] * (end - start),
@@ -95,23 +95,23 @@ def _level(
   )
 
 
-def _walk(direction: str) -> reference.ReferenceMotion:
+def _walk(direction: str) -> motion_lib.ReferenceMotion:
   contacts = np.array([[1, 0], [0, 1], [0, 1]])  # Left, then right stance.
   return _level('walk', direction, contacts, in_sync=False)
 
 
-def _hop(direction: str) -> reference.ReferenceMotion:
+def _hop(direction: str) -> motion_lib.ReferenceMotion:
   contacts = np.array([[1, 1], [1, 1], [0, 0], [0, 0]])  # Flight: a third.
   return _level('hop', direction, contacts, in_sync=True)
 
 
-def _leap(direction: str) -> reference.ReferenceMotion:
+def _leap(direction: str) -> motion_lib.ReferenceMotion:
   length = _LEAP_LENGTHS[direction]
   path = np.outer(_LEAP_PROGRESS, np.array(_DIRECTIONS[direction]) * length)
   flight = (np.array(_LEAP_PHASES) >= 0.42) & (np.array(_LEAP_PHASES) < 0.70)
-  return reference.ReferenceMotion(
+  return motion_lib.ReferenceMotion(
     name=f'leap_{direction}',
-    kind=reference.PERIODIC,
+    kind=motion_lib.PERIODIC,
     duration=_LEAP_DURATION,
     phases=np.array(_LEAP_PHASES),
     positions=np.column_stack([path, _LEAP_HEIGHTS]),
@@ -121,15 +121,15 @@ def _leap(direction: str) -> reference.ReferenceMotion:
   )
 
 
-def _turn(side: str) -> reference.ReferenceMotion:
+def _turn(side: str) -> motion_lib.ReferenceMotion:
   """Steps on the spot, the inner foot first."""
   sign = {'left': 1.0, 'right': -1.0}[side]
   halves = sign * _TURN * np.array([0.0, 0.5, 1.0]) / 2
   zeros = np.zeros(3)
   contacts = np.array([[0, 1], [1, 0], [1, 0]])
-  return reference.ReferenceMotion(
+  return motion_lib.ReferenceMotion(
     name=f'turn_{side}',
-    kind=reference.PERIODIC,
+    kind=motion_lib.PERIODIC,
     duration=_WALK_DURATION,
     phases=np.array([0.0, 0.5, 1.0]),
     positions=np.tile([0.0, 0.0, STAND_HEIGHT], (3, 1)),
@@ -145,51 +145,51 @@ def _jump(
   phases: Sequence[float],
   x: Sequence[float],
   z: Sequence[float],
-  step: reference.TerrainStep,
+  ledge: motion_lib.Ledge,
   flight: tuple[float, float],
-) -> reference.ReferenceMotion:
+) -> motion_lib.ReferenceMotion:
   """From one height to another; `flight` is from take-off to touch-down."""
   moments = np.array(phases)
   flying = (moments >= flight[0]) & (moments < flight[1])
-  return reference.ReferenceMotion(
+  return motion_lib.ReferenceMotion(
     name=name,
-    kind=reference.TRANSIENT,
+    kind=motion_lib.TRANSIENT,
     duration=duration,
     phases=moments,
     positions=np.column_stack([x, np.zeros(len(moments)), z]),
     orientations=_upright(len(moments)),
     contacts=np.repeat(~flying[:, None], 2, axis=1),
-    step=step,
+    ledge=ledge,
     takeoff=flight[0],
   )
 
 
-def _launch() -> reference.ReferenceMotion:
+def _launch() -> motion_lib.ReferenceMotion:
   return _jump(
     'launch',
     _LAUNCH_DURATION,
     _LAUNCH_PHASES,
     _LAUNCH_X,
     _LAUNCH_Z,
-    _LAUNCH_STEP,
+    _LAUNCH_LEDGE,
     (_LAUNCH_TAKEOFF, _LAUNCH_TOUCHDOWN),
   )
 
 
-def _descent() -> reference.ReferenceMotion:
+def _descent() -> motion_lib.ReferenceMotion:
   return _jump(
     'step_down',
     _DESCENT_DURATION,
     _DESCENT_PHASES,
     _DESCENT_X,
     _DESCENT_Z,
-    _DESCENT_STEP,
+    _DESCENT_LEDGE,
     (_DESCENT_TAKEOFF, _DESCENT_TOUCHDOWN),
   )
 
 
 @functools.cache
-def modes() -> Mapping[str, reference.ReferenceMotion]:
+def modes() -> Mapping[str, motion_lib.ReferenceMotion]:
   """Returns every mode of the library by its name."""
   motions = [_idle()]
   motions += [_walk(direction) for direction in _DIRECTIONS]
@@ -217,8 +217,8 @@ SETS: Mapping[str, tuple[str, ...]] = {
 
 def resolve(
   spec: str | Sequence[str],
-  extra: Iterable[reference.ReferenceMotion] = (),
-) -> tuple[reference.ReferenceMotion, ...]:
+  extra: Iterable[motion_lib.ReferenceMotion] = (),
+) -> tuple[motion_lib.ReferenceMotion, ...]:
   """Returns the motions that `spec` names, in order.
 
   Args:
@@ -256,7 +256,7 @@ def codebook() -> codebook_lib.Codebook:
 
 def mode_set(
   spec: str | Sequence[str],
-  extra: Iterable[reference.ReferenceMotion] = (),
+  extra: Iterable[motion_lib.ReferenceMotion] = (),
 ) -> mode_set_lib.ModeSet:
   """Returns the modes that `spec` names, with the shipped latents.
 

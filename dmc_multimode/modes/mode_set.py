@@ -9,6 +9,7 @@ from typing import Sequence
 import numpy as np
 
 from dmc_multimode.modes import codebook as codebook_lib
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes import reference
 
 
@@ -26,7 +27,7 @@ class ModeSet:
       other modes.
   """
 
-  motions: tuple[reference.ReferenceMotion, ...]
+  motions: tuple[motion_lib.ReferenceMotion, ...]
   codebook: codebook_lib.Codebook
   bank: reference.ReferenceBank = dataclasses.field(init=False, repr=False)
 
@@ -68,7 +69,7 @@ class ModeSet:
     return ModeSet(motions, self.codebook.subset(names))
 
 
-def one_hot(motions: Sequence[reference.ReferenceMotion]) -> ModeSet:
+def one_hot(motions: Sequence[motion_lib.ReferenceMotion]) -> ModeSet:
   """Returns the baseline without an encoder: n_m = M, one unit a mode."""
   names = tuple(motion.name for motion in motions)
   latents = np.eye(len(names), dtype=np.float32)

@@ -1,140 +1,20 @@
-"""Rough reference motions of the base: keyframes in, trajectories out.
+"""Reference motions, evaluated for batches of worlds.
 
-A mode is nothing but a few keyframes of the base (and optionally of the feet's
-contacts) over a normalised phase; see Sec. II-A of the paper. Nothing here
-knows about joints, physics or torch.
-
-Frames. Keyframes live in the *anchor frame* of a mode command: its origin is
-the point of the support plane under the base at the moment of the command, x
-points along the commanded heading, z up. Quaternions are (w, x, y, z).
+A bank stacks the keyframes of M modes into one table, so that B worlds, each in
+a mode and at a phase of its own, look their references up together. Frames are
+those of `motion`.
 """
 
-import dataclasses
 from typing import NamedTuple, Sequence
 
 import numpy as np
 from scipy.spatial import transform
 
-PERIODIC = 'periodic'  # The cycle repeats from where it ended.
-TRANSIENT = 'transient'  # Runs once, then holds its last pose and phase.
-STEADY = 'steady'  # One pose; only the clock runs.
-KINDS = (PERIODIC, TRANSIENT, STEADY)
+from dmc_multimode.modes import motion as motion_lib
 
-NUM_FEET = 2  # Contact states are ordered (left, right).
 _GRAVITY = 9.81  # m/s^2
 _LEAST_FLIGHT = 0.05  # Seconds.
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
-
-
-@dataclasses.dataclass(frozen=True)
-class TerrainStep:
-  """The change of support height that a mode is made for.
-
-  Attributes:
-    edge: distance from the start of the mode to the edge, in metres along x.
-    height: height of the support behind the edge over that before, in metres.
-  """
-
-  edge: float
-  height: float
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class ReferenceMotion:
-  """One clip (a single cycle) of a locomotion mode.
-
-  Attributes:
-    name: what users call the mode.
-    kind: 'periodic', 'transient' or 'steady'.
-    duration: length of the clip at clock rate 1, in seconds.
-    phases: keyframe phases, rising from 0 to 1, shape [K].
-    positions: base positions in the anchor frame, in metres, shape [K, 3].
-    orientations: base orientations in the anchor frame, shape [K, 4].
-    contacts: feet on the ground (1) or not (0), held until the next keyframe,
-      shape [K, 2], or None where the mode leaves contacts free.
-    step: the terrain that the mode needs, or None for level ground.
-    takeoff: phase of the jump that the mode is about, or 0. Episodes do not
-      switch away from the mode before the touch-down that follows.
-    mirror: name of the mode that this one becomes when left and right are
-      exchanged; the mode itself by default.
-    half_cycle_symmetric: whether the reference looks the same half a cycle
-      later, so that its mirror image may run half a cycle out of phase.
-  """
-
-  name: str
-  kind: str
-  duration: float
-  phases: np.ndarray
-  positions: np.ndarray
-  orientations: np.ndarray
-  contacts: np.ndarray | None = None
-  step: TerrainStep | None = None
-  takeoff: float = 0.0
-  mirror: str = ''
-  half_cycle_symmetric: bool = False
-
-  def __post_init__(self) -> None:
-    as_array = lambda x: np.asarray(x, dtype=np.float64)
-    object.__setattr__(self, 'phases', as_array(self.phases))
-    object.__setattr__(self, 'positions', as_array(self.positions))
-    orientations = as_array(self.orientations)
-    norms = np.linalg.norm(orientations, axis=-1, keepdims=True)
-    if orientations.ndim != 2 or np.any(norms < 1e-6):
-      raise ValueError(f'{self.name}: orientations must be non-zero [K, 4].')
-    # Unit quaternions stay bit for bit what they are, so that a motion that is
-    # written to a file and read again is the same motion.
-    norms[np.abs(norms - 1.0) < 1e-12] = 1.0
-    object.__setattr__(self, 'orientations', orientations / norms)
-    if self.contacts is not None:
-      object.__setattr__(self, 'contacts', as_array(self.contacts))
-    object.__setattr__(self, 'mirror', self.mirror or self.name)
-    self._validate()
-
-  def _validate(self) -> None:
-    """Raises ValueError with one line that says what is wrong."""
-    k = len(self.phases)
-    shapes = {'positions': (k, 3), 'orientations': (k, 4)}
-    if self.contacts is not None:
-      shapes['contacts'] = (k, NUM_FEET)
-      if not np.isin(self.contacts, (0.0, 1.0)).all():
-        raise ValueError(f'{self.name}: contacts must be 0 or 1.')
-    for field, shape in shapes.items():
-      value = getattr(self, field)
-      if value.shape != shape:
-        raise ValueError(
-          f'{self.name}: {field} has shape {value.shape}, expected {shape}.'
-        )
-      if not np.isfinite(value).all():
-        raise ValueError(f'{self.name}: {field} must be finite.')
-    if self.kind not in KINDS:
-      raise ValueError(
-        f'{self.name}: kind {self.kind!r} is not one of {KINDS}.'
-      )
-    if not (np.isfinite(self.duration) and self.duration > 0):
-      raise ValueError(f'{self.name}: duration must be positive.')
-    if k < 2 or self.phases[0] != 0 or self.phases[-1] != 1:
-      raise ValueError(f'{self.name}: phases must run from 0 to 1.')
-    if not np.all(np.diff(self.phases) > 0):
-      raise ValueError(f'{self.name}: phases must rise strictly.')
-    if not 0 <= self.takeoff <= 1:
-      raise ValueError(f'{self.name}: takeoff must be a phase in [0, 1].')
-    if self.kind == STEADY and np.any(self.positions != self.positions[0]):
-      raise ValueError(f'{self.name}: a steady mode has one base position.')
-
-  def sample(self, phases: np.ndarray) -> 'Reference':
-    """Returns the reference at `phases`, shape [T], each in [0, 1]."""
-    phases = np.asarray(phases, dtype=np.float64)
-    bank = ReferenceBank([self])
-    return bank.sample(np.zeros(len(phases), dtype=np.int64), phases)
-
-
-def check_names(motions: Sequence[ReferenceMotion]) -> None:
-  """Raises ValueError for no motions, or two of the same name."""
-  if not motions:
-    raise ValueError('A mode set needs at least one mode.')
-  names = [motion.name for motion in motions]
-  if len(set(names)) != len(names):
-    raise ValueError(f'Mode names must be unique, got {names}.')
 
 
 class Reference(NamedTuple):
@@ -156,14 +36,14 @@ class Reference(NamedTuple):
 class ReferenceBank:
   """Several reference motions, evaluated together for a batch of worlds."""
 
-  def __init__(self, motions: Sequence[ReferenceMotion]) -> None:
+  def __init__(self, motions: Sequence[motion_lib.ReferenceMotion]) -> None:
     """Stacks `motions`; their order gives the mode indices."""
-    check_names(motions)
+    motion_lib.check_names(motions)
     self.motions = tuple(motions)
     self.names = tuple(motion.name for motion in motions)
     self.durations = np.array([m.duration for m in motions])
-    self.periodic = np.array([m.kind == PERIODIC for m in motions])
-    self.transient = np.array([m.kind == TRANSIENT for m in motions])
+    self.periodic = np.array([m.kind == motion_lib.PERIODIC for m in motions])
+    self.transient = np.array([m.kind == motion_lib.TRANSIENT for m in motions])
     self.takeoffs = np.array([m.takeoff for m in motions])
     self.has_contacts = np.array([m.contacts is not None for m in motions])
     self._stack_keyframes()
@@ -183,7 +63,7 @@ class ReferenceBank:
     phases = np.full((num, width), np.inf)
     positions = np.zeros((num, width, 3))
     orientations = np.tile(np.array(_IDENTITY), (num, width, 1))
-    contacts = np.zeros((num, width, NUM_FEET))
+    contacts = np.zeros((num, width, motion_lib.NUM_FEET))
     for i, motion in enumerate(self.motions):
       k = len(motion.phases)
       phases[i, :k] = motion.phases
@@ -198,7 +78,7 @@ class ReferenceBank:
     self._inner_phases = np.ascontiguousarray(phases[:, 1:-1].T)
     self._positions = positions.reshape(-1, 3)
     self._orientations = orientations.reshape(-1, 4)
-    self._contacts = contacts.reshape(-1, NUM_FEET)
+    self._contacts = contacts.reshape(-1, motion_lib.NUM_FEET)
     self._spans = _contact_spans(phases, contacts).reshape(2, -1)
     self._landings = _next_touch_downs(phases, contacts).ravel()
     airborne = self.has_contacts[:, None] & ~contacts.any(axis=-1)
@@ -219,7 +99,9 @@ class ReferenceBank:
     # Yaw gained over one cycle; zero for modes that do not turn.
     ends = np.stack([m.orientations[-1] for m in self.motions])
     starts = np.stack([m.orientations[0] for m in self.motions])
-    self.turns = np.where(self.periodic, yaw(ends) - yaw(starts), 0.0)
+    self.turns = np.where(
+      self.periodic, motion_lib.yaw(ends) - motion_lib.yaw(starts), 0.0
+    )
     self._velocities = self._keyframe_velocities()
 
   def grounded(
@@ -338,18 +220,19 @@ class ReferenceBank:
       before + weight * (after - before),
     )
 
-  def steps(
+  def swing_timing(
     self, modes: np.ndarray, phases: np.ndarray
   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where in a step of one foot the references are, at clock rate 1.
+    """Returns how far the swing of a foot has come, at clock rate 1.
 
     Args:
       modes: mode indices, [B].
       phases: phases in [0, 1], [B].
 
     Returns:
-      Whether a foot (left, right) swings while the other stands, [B, 2]; the
-      time since the middle of that step, seconds, [B], and its length, [B].
+      Which foot (left, right) swings while the other stands, bool [B, 2]; the
+      time since the middle of that swing, seconds, [B]; its duration, seconds,
+      [B].
     """
     keyframe, _ = self._locate(modes, phases)
     contact = self._contacts[keyframe]
@@ -419,15 +302,16 @@ def _next_flights(airborne: np.ndarray) -> np.ndarray:
   return flights + width * np.arange(num)[:, None]
 
 
-def yaw(quaternions: np.ndarray) -> np.ndarray:
-  """Returns the heading angle of quaternions [..., 4], in radians."""
-  w, x, y, z = np.moveaxis(np.asarray(quaternions), -1, 0)
-  return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-
-
 def _rotation(quaternions: np.ndarray) -> transform.Rotation:
   return transform.Rotation.from_quat(quaternions, scalar_first=True)
 
 
 def _rotation_from_vector(vectors: np.ndarray) -> transform.Rotation:
   return transform.Rotation.from_rotvec(vectors)
+
+
+def sample(motion: motion_lib.ReferenceMotion, phases: np.ndarray) -> Reference:
+  """Returns one motion's reference at `phases`, each in [0, 1], [T]."""
+  bank = ReferenceBank([motion])
+  modes = np.zeros(len(phases), dtype=np.int64)
+  return bank.sample(modes, np.asarray(phases, dtype=np.float64))

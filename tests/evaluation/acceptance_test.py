@@ -9,30 +9,31 @@ import pytest
 from dmc_multimode.evaluation import acceptance
 from dmc_multimode.evaluation import gait_metrics
 from dmc_multimode.modes import library
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes import reference
 
 _TIMESTEP = 0.03  # Seconds.
 _MODES = library.modes()
 
 
-def _perfect(motion: reference.ReferenceMotion) -> gait_metrics.Trace:
+def _perfect(motion: motion_lib.ReferenceMotion) -> gait_metrics.Trace:
   """What a body would do that is on the reference all the time."""
   steps = round(acceptance.DURATION / _TIMESTEP)
   turns, phases = np.divmod(_TIMESTEP * np.arange(steps) / motion.duration, 1.0)
-  if motion.kind == reference.TRANSIENT:
+  if motion.kind == motion_lib.TRANSIENT:
     turns, phases = 0 * turns, np.where(turns > 0, 1.0, phases)
-  sample = motion.sample(phases)
+  sample = reference.sample(motion, phases)
   moved = motion.positions[-1] - motion.positions[0]
   position = sample.position + turns[:, None] * moved
   turn = reference.ReferenceBank([motion]).turns[0]
   support = np.zeros(steps)
-  if motion.step is not None:
-    support[position[:, 0] > motion.step.edge] = motion.step.height
+  if motion.ledge is not None:
+    support[position[:, 0] > motion.ledge.edge] = motion.ledge.height
   return gait_metrics.Trace(
     position,
     position,
     support,
-    reference.yaw(sample.orientation) + turns * turn,
+    motion_lib.yaw(sample.orientation) + turns * turn,
     sample.contact,
     sample.contact,
     _TIMESTEP,
@@ -41,7 +42,7 @@ def _perfect(motion: reference.ReferenceMotion) -> gait_metrics.Trace:
 
 
 def _verdicts(
-  motion: reference.ReferenceMotion, *traces: gait_metrics.Trace
+  motion: motion_lib.ReferenceMotion, *traces: gait_metrics.Trace
 ) -> dict[str, acceptance.Verdict]:
   return {v.metric: v for v in acceptance.judge(motion, traces)}
 
@@ -128,7 +129,7 @@ def test_a_squat_rises() -> None:
   """On the spot, both feet on the ground."""
   motion = dataclasses.replace(
     _MODES['idle'],
-    kind=reference.PERIODIC,
+    kind=motion_lib.PERIODIC,
     duration=1.2,
     phases=np.array([0.0, 0.5, 1.0]),
     positions=np.array([[0, 0, 0.5], [0, 0, 0.4], [0, 0, 0.5]]),
@@ -146,5 +147,5 @@ def test_a_squat_rises() -> None:
 def test_modes_of_which_little_is_known_promise_little() -> None:
   walk = dataclasses.replace(_MODES['walk_forward'], contacts=None)
   assert [p.metric for p in acceptance.promises(walk)] == ['speed', 'bob']
-  jump = dataclasses.replace(_MODES['launch'], step=None)
+  jump = dataclasses.replace(_MODES['launch'], ledge=None)
   assert acceptance.promises(jump) == ()

@@ -13,7 +13,7 @@ from dmc_multimode.experiments import fine_tuning
 from dmc_multimode.experiments import setup
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.utils import resources
 from tests.bin import untrained
@@ -227,6 +227,6 @@ def test_encoder_of_another_policy(folder: pathlib.Path) -> None:
 
 def test_shipped_squat() -> None:
   (motion,) = mode_files.load(_SQUAT)
-  assert motion.kind == reference.PERIODIC
+  assert motion.kind == motion_lib.PERIODIC
   assert motion.contacts is not None and motion.contacts.all()
   assert np.ptp(motion.positions[:, 2]) == pytest.approx(0.13)

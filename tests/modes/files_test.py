@@ -15,7 +15,7 @@ import numpy as np
 from dmc_multimode.modes import fields
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import motion as motion_lib
 
 _YAML = """\
 name: turn_left
@@ -41,7 +41,7 @@ keyframes:
 
 
 def _assert_equal(
-  one: reference.ReferenceMotion, other: reference.ReferenceMotion
+  one: motion_lib.ReferenceMotion, other: motion_lib.ReferenceMotion
 ) -> None:
   """Asserts equality of every field, to the last bit."""
   for field in vars(one):
@@ -49,19 +49,19 @@ def _assert_equal(
     np.testing.assert_array_equal(found, wanted, err_msg=field)
 
 
-def _random_motion(seed: int) -> reference.ReferenceMotion:
+def _random_motion(seed: int) -> motion_lib.ReferenceMotion:
   rng = np.random.default_rng(seed)
   size = int(rng.integers(2, 9))
   phases = np.concatenate([[0.0], np.sort(rng.random(size - 2)), [1.0]])
-  return reference.ReferenceMotion(
+  return motion_lib.ReferenceMotion(
     name=f'random_{seed}',
-    kind=reference.TRANSIENT,
+    kind=motion_lib.TRANSIENT,
     duration=rng.uniform(0.01, 5),
     phases=phases,
     positions=rng.normal(size=(size, 3)),
     orientations=rng.normal(size=(size, 4)),
     contacts=rng.integers(0, 2, (size, 2)) if rng.random() < 0.5 else None,
-    step=reference.TerrainStep(*rng.normal(size=2)),
+    ledge=motion_lib.Ledge(*rng.normal(size=2)),
     takeoff=rng.random(),
   )
 
@@ -91,16 +91,16 @@ class LoadTest(_FilesTest):
   def test_every_field(self) -> None:
     (motion,) = mode_files.load(self.write(_YAML))
     self.assertEqual(motion.name, 'turn_left')
-    self.assertEqual(motion.kind, reference.PERIODIC)
+    self.assertEqual(motion.kind, motion_lib.PERIODIC)
     self.assertEqual(motion.duration, 0.9)
     self.assertEqual(motion.takeoff, 0.25)
     self.assertEqual(motion.mirror, 'turn_right')
     self.assertIs(motion.half_cycle_symmetric, True)
-    self.assertEqual(motion.step, reference.TerrainStep(0.3, -0.1))
+    self.assertEqual(motion.ledge, motion_lib.Ledge(0.3, -0.1))
     np.testing.assert_array_equal(motion.phases, [0, 0.5, 1])
     np.testing.assert_array_equal(motion.positions[:, 0], [0, 0.1, 0.2])
     np.testing.assert_array_equal(motion.contacts, [[1, 0], [0, 1], [1, 0]])
-    yaw = np.degrees(reference.yaw(motion.orientations))
+    yaw = np.degrees(motion_lib.yaw(motion.orientations))
     np.testing.assert_allclose(yaw, [0, 45, 90], atol=1e-9)
 
   def test_euler_is_roll_then_pitch_then_yaw(self) -> None:
@@ -117,7 +117,7 @@ class LoadTest(_FilesTest):
       )
     )
     self.assertIsNone(motion.contacts)
-    self.assertIsNone(motion.step)
+    self.assertIsNone(motion.ledge)
     self.assertEqual(motion.mirror, 'a')
     np.testing.assert_array_equal(motion.orientations, [[1, 0, 0, 0]] * 2)
 

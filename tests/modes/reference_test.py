@@ -7,29 +7,30 @@ from absl.testing import absltest
 from absl.testing import parameterized
 import numpy as np
 
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes import reference
 
 _HALF = np.sqrt(0.5)
 
 
-def _motion(**changes: Any) -> reference.ReferenceMotion:
+def _motion(**changes: Any) -> motion_lib.ReferenceMotion:
   """A step forward and up, then a quarter turn to the left, in 2 s."""
   fields: dict[str, Any] = {
     'name': 'test',
-    'kind': reference.PERIODIC,
+    'kind': motion_lib.PERIODIC,
     'duration': 2.0,
     'phases': [0.0, 0.25, 1.0],
     'positions': [[0, 0, 0.5], [0.4, 0, 0.7], [1.0, 0.3, 0.5]],
     'orientations': [[1, 0, 0, 0], [1, 0, 0, 0], [_HALF, 0, 0, _HALF]],
     'contacts': [[1, 0], [0, 1], [0, 1]],
   }
-  return reference.ReferenceMotion(**{**fields, **changes})
+  return motion_lib.ReferenceMotion(**{**fields, **changes})
 
 
-def _still(name: str = 'still') -> reference.ReferenceMotion:
-  return reference.ReferenceMotion(
+def _still(name: str = 'still') -> motion_lib.ReferenceMotion:
+  return motion_lib.ReferenceMotion(
     name=name,
-    kind=reference.STEADY,
+    kind=motion_lib.STEADY,
     duration=1.0,
     phases=np.array([0.0, 1.0]),
     positions=np.array([[0, 0, 0.5], [0, 0, 0.5]]),
@@ -48,26 +49,26 @@ class ReferenceMotionTest(parameterized.TestCase):
   def test_position_is_linear_between_keyframes(
     self, phase: float, expected: list[float]
   ) -> None:
-    position = _motion().sample(np.array([phase])).position[0]
+    position = reference.sample(_motion(), np.array([phase])).position[0]
     np.testing.assert_allclose(position, expected, atol=1e-12)
 
   @parameterized.parameters((0.1, 0), (0.25, 0), (0.5, 30), (0.75, 60), (1, 90))
   def test_orientation_turns_at_constant_rate(
     self, phase: float, degrees: float
   ) -> None:
-    orientation = _motion().sample(np.array([phase])).orientation[0]
+    orientation = reference.sample(_motion(), np.array([phase])).orientation[0]
     half = np.radians(degrees) / 2
     expected = [np.cos(half), 0, 0, np.sin(half)]
     np.testing.assert_allclose(orientation, expected, atol=1e-12)
     np.testing.assert_allclose(
-      reference.yaw(orientation), np.radians(degrees), atol=1e-12
+      motion_lib.yaw(orientation), np.radians(degrees), atol=1e-12
     )
 
   def test_slerp_takes_the_short_way(self) -> None:
     flipped = [[1, 0, 0, 0], [-1, 0, 0, 0], [-_HALF, 0, 0, -_HALF]]
     phases = np.linspace(0, 1, 21)
-    one = _motion().sample(phases).orientation
-    other = _motion(orientations=flipped).sample(phases).orientation
+    one = reference.sample(_motion(), phases).orientation
+    other = reference.sample(_motion(orientations=flipped), phases).orientation
     alike = np.abs(np.sum(one * other, axis=-1))
     np.testing.assert_allclose(alike, 1.0, atol=1e-12)
 
@@ -75,7 +76,7 @@ class ReferenceMotionTest(parameterized.TestCase):
   def test_contacts_hold_until_the_next_keyframe(
     self, phase: float, expected: list[int]
   ) -> None:
-    sampled = _motion().sample(np.array([phase, 1.0]))
+    sampled = reference.sample(_motion(), np.array([phase, 1.0]))
     np.testing.assert_array_equal(sampled.contact, [expected, [0, 1]])
     np.testing.assert_array_equal(sampled.has_contact, [True, True])
 
@@ -108,7 +109,7 @@ class ReferenceMotionTest(parameterized.TestCase):
     ({'contacts': np.zeros((2, 2))}, 'contacts'),
     ({'takeoff': 1.5}, 'takeoff'),
     ({'takeoff': float('nan')}, 'takeoff'),
-    ({'kind': reference.STEADY}, 'steady'),
+    ({'kind': motion_lib.STEADY}, 'steady'),
   )
   def test_rejects(self, changes: dict[str, Any], message: str) -> None:
     with self.assertRaisesRegex(ValueError, message) as caught:
@@ -125,13 +126,13 @@ class ReferenceBankTest(parameterized.TestCase):
     phases[:4] = (0.0, 0.0, 1.0, 1.0)
     together = bank.sample(modes, phases)
     for i, motion in enumerate(motions):
-      alone = motion.sample(phases[modes == i])
+      alone = reference.sample(motion, phases[modes == i])
       for field, values in zip(alone._fields, alone, strict=True):
         batched = getattr(together, field)[modes == i]
         np.testing.assert_allclose(batched, values, atol=1e-12)
 
   def test_periodic_modes_alone_move_on(self) -> None:
-    transient = _motion(name='once', kind=reference.TRANSIENT)
+    transient = _motion(name='once', kind=motion_lib.TRANSIENT)
     bank = reference.ReferenceBank([_motion(), transient, _still()])
     expected = np.array([[1.0, 0.3, 0.0], [0, 0, 0], [0, 0, 0]])
     np.testing.assert_allclose(bank.displacements, expected, atol=1e-12)
@@ -243,7 +244,7 @@ class ReferenceBankTest(parameterized.TestCase):
     bank = reference.ReferenceBank([_still(), motion])
     phases = np.array([0.0, 0.05, 0.3, 0.45, 0.5, 0.6, 0.8, 0.3])
     modes = np.array([1, 1, 1, 1, 1, 1, 1, 0])
-    swinging, time, length = bank.steps(modes, phases)
+    swinging, time, length = bank.swing_timing(modes, phases)
     np.testing.assert_array_equal(
       swinging,
       np.array([[0, 0, 0, 0, 1, 1, 0, 0], [1, 1, 1, 0, 0, 0, 0, 0]], bool).T,
@@ -258,7 +259,7 @@ class ReferenceBankTest(parameterized.TestCase):
     in_sync = [[1, 1], [0, 0], [1, 1]]
     motions = [
       _motion(name='walk'),
-      _motion(name='jump', kind=reference.TRANSIENT),
+      _motion(name='jump', kind=motion_lib.TRANSIENT),
       _motion(name='hop', contacts=in_sync),
       _motion(name='free', contacts=None),
       _still(),
@@ -270,7 +271,7 @@ class ReferenceBankTest(parameterized.TestCase):
 
   def test_a_step_up_to_the_end_of_the_cycle(self) -> None:
     bank = reference.ReferenceBank([_motion(), _still()])
-    swinging, time, length = bank.steps(np.array([0]), np.array([0.9]))
+    swinging, time, length = bank.swing_timing(np.array([0]), np.array([0.9]))
     np.testing.assert_array_equal(swinging, [[True, False]])
     np.testing.assert_allclose((time[0], length[0]), (2 * (0.9 - 0.625), 1.5))
 

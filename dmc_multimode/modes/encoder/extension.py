@@ -17,7 +17,7 @@ from torch import nn
 
 from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import mode_set as mode_set_lib
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes.encoder import network as autoencoder
 from dmc_multimode.modes.encoder import training as encoder_training
 
@@ -30,7 +30,7 @@ _ANCHOR_WEIGHT = 10.0  # Of the distance of old modes from where they belong.
 def extend(
   base: encoder_training.ModeEncoder,
   old: mode_set_lib.ModeSet,
-  new: Sequence[reference.ReferenceMotion],
+  new: Sequence[motion_lib.ReferenceMotion],
 ) -> tuple[encoder_training.ModeEncoder, mode_set_lib.ModeSet]:
   """Returns an encoder that knows new modes too, and all modes with latents.
 
@@ -107,7 +107,7 @@ class _Extension:
   def __init__(
     self,
     base: encoder_training.ModeEncoder,
-    motions: Sequence[reference.ReferenceMotion],
+    motions: Sequence[motion_lib.ReferenceMotion],
     held: np.ndarray,
   ):
     """Holds the latents of the first motions, [N, n_m]."""

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes import reference
 
 CONTROL_TIMESTEP = 0.03  # Seconds between the steps of a sampled motion.
@@ -16,11 +17,11 @@ _NUM_POSE_FEATURES = 7
 
 def num_features(use_contacts: bool) -> int:
   """Returns F, the number of features of one step."""
-  return _NUM_POSE_FEATURES + (reference.NUM_FEET if use_contacts else 0)
+  return _NUM_POSE_FEATURES + (motion_lib.NUM_FEET if use_contacts else 0)
 
 
 def features(
-  motion: reference.ReferenceMotion, use_contacts: bool
+  motion: motion_lib.ReferenceMotion, use_contacts: bool
 ) -> np.ndarray:
   """Samples one clip of a motion about every 0.03 s, both ends included.
 
@@ -30,7 +31,7 @@ def features(
     has none).
   """
   steps = max(2, round(motion.duration / CONTROL_TIMESTEP) + 1)
-  sampled = motion.sample(np.linspace(0.0, 1.0, steps))
+  sampled = reference.sample(motion, np.linspace(0.0, 1.0, steps))
   orientation = sampled.orientation
   flips = np.sum(orientation[1:] * orientation[:-1], axis=-1) < 0
   signs = np.cumprod(np.where(flips, -1.0, 1.0))
@@ -94,7 +95,7 @@ class Batch:
 
   def __init__(
     self,
-    motions: Sequence[reference.ReferenceMotion],
+    motions: Sequence[motion_lib.ReferenceMotion],
     use_contacts: bool,
   ):
     if not motions:

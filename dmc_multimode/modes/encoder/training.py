@@ -33,7 +33,7 @@ from torch import nn
 
 from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import files as mode_files
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes.encoder import network as autoencoder
 from dmc_multimode.utils import files
 from dmc_multimode.utils import typed
@@ -122,10 +122,10 @@ class ModeEncoder:
   """
 
   config: EncoderConfig
-  motions: tuple[reference.ReferenceMotion, ...]
+  motions: tuple[motion_lib.ReferenceMotion, ...]
   network: autoencoder.Autoencoder
 
-  def encode(self, motions: Sequence[reference.ReferenceMotion]) -> np.ndarray:
+  def encode(self, motions: Sequence[motion_lib.ReferenceMotion]) -> np.ndarray:
     """Returns the command vectors of any motions, float32, [N, n_m].
 
     They are standardised by the statistics of the set trained on.
@@ -135,7 +135,7 @@ class ModeEncoder:
     ).numpy()
 
   def reconstruct(
-    self, motions: Sequence[reference.ReferenceMotion]
+    self, motions: Sequence[motion_lib.ReferenceMotion]
   ) -> list[np.ndarray]:
     """Returns what the decoder makes of each motion's latent.
 
@@ -213,7 +213,7 @@ def load(directory: str | os.PathLike[str]) -> ModeEncoder:
       raise ValueError(f'format {description["format"]!r}')
     config = typed.build(EncoderConfig, description['config'])
     modes = tuple(mode_files.motion_from_dict(m) for m in description['modes'])
-    reference.check_names(modes)
+    motion_lib.check_names(modes)
     expected = description['weights_sha256']
   except (KeyError, TypeError, ValueError, RecursionError) as error:
     raise ValueError(
@@ -284,13 +284,13 @@ def _network(
   return network.requires_grad_(False)
 
 
-def needs_contacts(motions: Sequence[reference.ReferenceMotion]) -> bool:
+def needs_contacts(motions: Sequence[motion_lib.ReferenceMotion]) -> bool:
   """Returns whether only their contacts tell some of the modes apart."""
   return _twins(motions, False) is not None
 
 
 def train(
-  motions: Sequence[reference.ReferenceMotion],
+  motions: Sequence[motion_lib.ReferenceMotion],
   config: EncoderConfig,
   progress: Callable[[Progress], None] | None = None,
 ) -> ModeEncoder:
@@ -334,10 +334,10 @@ def train(
 
 
 def check_set(
-  motions: Sequence[reference.ReferenceMotion], config: EncoderConfig
+  motions: Sequence[motion_lib.ReferenceMotion], config: EncoderConfig
 ) -> None:
   """Raises ValueError for a set that cannot be encoded, or not be saved."""
-  reference.check_names(motions)  # At least one mode, and unique names.
+  motion_lib.check_names(motions)  # At least one mode, and unique names.
   for motion in motions:
     try:
       mode_files.motion_from_dict(mode_files.motion_to_dict(motion))
@@ -353,7 +353,7 @@ def check_set(
 
 
 def _twins(
-  motions: Sequence[reference.ReferenceMotion], use_contacts: bool
+  motions: Sequence[motion_lib.ReferenceMotion], use_contacts: bool
 ) -> tuple[str, str] | None:
   """Returns the names of two modes with equal features, if there are any."""
   seen: dict[bytes, str] = {}

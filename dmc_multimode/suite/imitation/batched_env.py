@@ -14,7 +14,7 @@ import numpy as np
 
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track as track_lib
-from dmc_multimode.modes import reference as reference_lib
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.suite.imitation import assistance
 from dmc_multimode.suite.imitation import composer_task
 from dmc_multimode.suite.imitation import core as imitation_core
@@ -451,7 +451,7 @@ class BatchedImitation:
       'position': position,
       'reference': reference.position,
       'support': self.core.support(position[:, 0]),
-      'yaw': reference_lib.yaw(self.qpos[:, 3:7]),
+      'yaw': motion_lib.yaw(self.qpos[:, 3:7]),
       'contact': self.feet_contact(),
       'reference_contact': reference.contact,
       'mode': tracked.mode.copy(),

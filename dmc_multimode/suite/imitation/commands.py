@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dmc_multimode.modes import mode_set as mode_set_lib
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes import reference as reference_lib
 from dmc_multimode.modes import schedule as schedule_lib
 
@@ -229,7 +230,7 @@ class ModeTracker:
     state = self.state
     old = self.bank.sample(state.mode[ids], state.phase[ids])
     # The robot's own yaw never enters, so that yaw drift is corrected.
-    state.heading[ids] += reference_lib.yaw(old.orientation)
+    state.heading[ids] += motion_lib.yaw(old.orientation)
     state.mode[ids] = modes
     state.phase[ids] = 0.0
     state.anchor[ids, :2] = position[:, :2]
@@ -254,11 +255,15 @@ class ModeTracker:
     local = self.bank.sample(state.mode[ids], state.phase[ids])
     return local.has_contact & ~local.contact.any(axis=1)
 
-  def steps(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where in a step the references of `ids` are: `ReferenceBank.steps`."""
+  def swing_timing(
+    self, ids: np.ndarray
+  ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns `ReferenceBank.swing_timing` of worlds `ids`, at their clocks."""
     state = self.state
     rate = state.clock_rate[ids]
-    swinging, time, length = self.bank.steps(state.mode[ids], state.phase[ids])
+    swinging, time, length = self.bank.swing_timing(
+      state.mode[ids], state.phase[ids]
+    )
     return swinging, time / rate, length / rate
 
   def upcoming(

@@ -86,7 +86,7 @@ class ImitationCore:
     self.obstacle_share = config.obstacle_share_after(0)
     self._obstacles = obstacles.ObstacleSource(mode_set)
     self._adaptive = adaptive_terrain
-    self._steps = [motion.step for motion in mode_set.motions]
+    self._steps = [motion.ledge for motion in mode_set.motions]
 
   def start(
     self,
@@ -138,7 +138,7 @@ class ImitationCore:
     # In flight the legs are drawn up; even so they must clear a block below.
     lowest = np.where(airborne, kinematics.CROUCH_HEIGHT, kinematics.LOWEST)
     position[:, 2] = np.maximum(position[:, 2], clear + lowest)
-    swinging, time, length = self.tracker.steps(ids)
+    swinging, time, length = self.tracker.swing_timing(ids)
     swinging &= on_reference[:, None]
     forward, lift, forward_rate, lift_rate = kinematics.stepping(
       velocity[:, 0], swinging, time, length

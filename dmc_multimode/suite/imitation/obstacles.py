@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dmc_multimode.modes import mode_set as mode_set_lib
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import motion as motion_lib
 
 _FORWARD = 0.1  # Metres a cycle at least: slower modes meet nothing.
 _FOOTHOLD = 0.15  # Metres ahead of the trunk that stay as they are.
@@ -53,7 +53,7 @@ class ObstacleSource:
   def __init__(self, mode_set: mode_set_lib.ModeSet):
     """Looks up what the modes can master."""
     motions, bank = mode_set.motions, mode_set.bank
-    steps = [motion.step for motion in motions]
+    steps = [motion.ledge for motion in motions]
     self._stepping = np.array([step is not None for step in steps])
     self._rises = np.array([step.height if step else 0.0 for step in steps])
     self._lengths = bank.displacements[:, 0]
@@ -110,7 +110,7 @@ class ObstacleSource:
     )
 
 
-def _flight(motion: reference.ReferenceMotion) -> tuple[float, float]:
+def _flight(motion: motion_lib.ReferenceMotion) -> tuple[float, float]:
   """From where to where it flies, metres ahead of the anchor; else nan."""
   if motion.contacts is None:
     return np.nan, np.nan

@@ -9,7 +9,7 @@ import torch
 from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set as mode_set_lib
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes.encoder import extension
 from dmc_multimode.modes.encoder import network
 from dmc_multimode.modes.encoder import training as encoder_training
@@ -21,11 +21,11 @@ _ROUGH = encoder_training.EncoderConfig(
 )
 
 
-def _bob(name: str = 'bob', depth: float = 0.5) -> reference.ReferenceMotion:
+def _bob(name: str = 'bob', depth: float = 0.5) -> motion_lib.ReferenceMotion:
   """Up and down on the spot; an encoder of `_OLD` knows no such thing."""
-  return reference.ReferenceMotion(
+  return motion_lib.ReferenceMotion(
     name=name,
-    kind=reference.PERIODIC,
+    kind=motion_lib.PERIODIC,
     duration=0.6,
     phases=np.array([0.0, 0.5, 1.0]),
     positions=np.array([[0, 0, 0.5], [0, 0, 0.5 - depth], [0, 0, 0.5]]),

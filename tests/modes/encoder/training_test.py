@@ -14,7 +14,7 @@ import safetensors.torch
 import torch
 
 from dmc_multimode.modes import library
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes.encoder import network
 from dmc_multimode.modes.encoder import training as encoder_training
 
@@ -34,14 +34,14 @@ def _converged() -> encoder_training.ModeEncoder:
   )
 
 
-def _turn(degrees: float) -> reference.ReferenceMotion:
+def _turn(degrees: float) -> motion_lib.ReferenceMotion:
   """A turn in place in two halves, so that slerp knows its direction."""
   half = np.radians(degrees) / 2
   angles = np.array([0, half / 2, half])
   zeros = np.zeros(3)
-  return reference.ReferenceMotion(
+  return motion_lib.ReferenceMotion(
     name='turn',
-    kind=reference.PERIODIC,
+    kind=motion_lib.PERIODIC,
     duration=0.9,
     phases=np.array([0, 0.5, 1]),
     positions=np.tile([0, 0, 0.5], (3, 1)),

@@ -6,7 +6,7 @@ import numpy as np
 
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes import schedule
 from dmc_multimode.suite.imitation import commands
 
@@ -20,10 +20,10 @@ def _motion(
   kind: str,
   end: tuple[float, float, float],
   yaw: float = 0.0,
-) -> reference.ReferenceMotion:
+) -> motion_lib.ReferenceMotion:
   """One second from (0, 0, 0.5) to `end`, turning by `yaw` radians."""
   half = yaw / 2
-  return reference.ReferenceMotion(
+  return motion_lib.ReferenceMotion(
     name=name,
     kind=kind,
     duration=1.0,
@@ -36,10 +36,10 @@ def _motion(
 
 
 _MOTIONS = (
-  _motion('go', reference.PERIODIC, (2.0, 0.0, 0.5)),
-  _motion('stand', reference.STEADY, (0.0, 0.0, 0.5)),
-  _motion('jump', reference.TRANSIENT, (1.0, 0.0, 0.9)),
-  _motion('turn', reference.PERIODIC, (1.0, 0.0, 0.5), yaw=np.pi / 2),
+  _motion('go', motion_lib.PERIODIC, (2.0, 0.0, 0.5)),
+  _motion('stand', motion_lib.STEADY, (0.0, 0.0, 0.5)),
+  _motion('jump', motion_lib.TRANSIENT, (1.0, 0.0, 0.9)),
+  _motion('turn', motion_lib.PERIODIC, (1.0, 0.0, 0.5), yaw=np.pi / 2),
 )
 
 

@@ -140,7 +140,7 @@ class ReferenceStartTest(parameterized.TestCase):
   def _standing_feet(self) -> np.ndarray:
     """Which feet stand, [B, 2]."""
     every = np.arange(len(self.starts.modes))
-    swinging, _, _ = self.starts.tracker.steps(every)
+    swinging, _, _ = self.starts.tracker.swing_timing(every)
     return self._within_reach()[:, None] & ~swinging
 
   def test_feet_stand_where_the_reference_stands(self) -> None:
@@ -169,7 +169,7 @@ class ReferenceStartTest(parameterized.TestCase):
     """Up to 6 cm high, and past the foot that stands as the trunk is."""
     starts = self.starts
     every = np.arange(len(starts.modes))
-    swinging, time, length = starts.tracker.steps(every)
+    swinging, time, length = starts.tracker.swing_timing(every)
     walking = swinging.sum(axis=1) > 0
     names = {_MOTIONS[mode].name for mode in starts.modes[walking]}
     directions = ('forward', 'backward', 'left', 'right')
@@ -212,7 +212,7 @@ class ReferenceStartTest(parameterized.TestCase):
     every = np.arange(len(starts.modes))
     _, _, velocity = starts.tracker.start_pose(every)
     moved = starts.worlds.qvel[:, :3]
-    swinging, _, _ = starts.tracker.steps(every)
+    swinging, _, _ = starts.tracker.swing_timing(every)
     velocity = velocity[~swinging.any(axis=1)]  # The others sway.
     moved = moved[~swinging.any(axis=1)]
     moving = np.linalg.norm(velocity, axis=1) > 0

@@ -8,7 +8,7 @@ import numpy as np
 
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set
-from dmc_multimode.modes import reference
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.suite.imitation import obstacles
 
 _MOTIONS = tuple(library.modes().values())
@@ -20,7 +20,7 @@ _HAIR = 1e-9  # Metres: of rounding.
 def _draw(
   name: str,
   ahead: float | np.ndarray = 0.0,
-  motions: tuple[reference.ReferenceMotion, ...] = _MOTIONS,
+  motions: tuple[motion_lib.ReferenceMotion, ...] = _MOTIONS,
   seed: int = 0,
 ) -> obstacles.Obstacles:
   """Many obstacles for one mode."""
@@ -34,11 +34,11 @@ def _draw(
 
 def _user_mode(
   kind: str, length: float, contacts: np.ndarray | None = None
-) -> reference.ReferenceMotion:
+) -> motion_lib.ReferenceMotion:
   """A mode of four equal parts that goes straight on."""
   phases = np.linspace(0.0, 1.0, 5)
   x = phases * length
-  return reference.ReferenceMotion(
+  return motion_lib.ReferenceMotion(
     name='mine',
     kind=kind,
     duration=1.0,
@@ -83,7 +83,7 @@ class BlockTest(_Case):
   def test_height_is_a_share_of_the_mode_s_own(self) -> None:
     launch = library.modes()['launch']
     low = dataclasses.replace(
-      launch, step=reference.TerrainStep(edge=0.27, height=0.1)
+      launch, ledge=motion_lib.Ledge(edge=0.27, height=0.1)
     )
     self.assert_spread(_draw('launch', motions=(low,)).height, 0.0, 0.1)
 
@@ -130,7 +130,7 @@ class FlightTest(_Case):
   def test_user_s_mode(self) -> None:
     """It flies from 0.25 to 0.75 m."""
     contacts = np.array([[1, 1], [0, 0], [0, 0], [1, 1], [1, 1]])
-    mode = _user_mode(reference.PERIODIC, 1.0, contacts)
+    mode = _user_mode(motion_lib.PERIODIC, 1.0, contacts)
     middle = self._middles(_draw('mine', 0.1, (mode,)))
     self.assert_spread(middle, 1.44, 1.56)
 
@@ -152,7 +152,7 @@ class GaitTest(_Case):
     )
 
   def test_user_s_mode_without_contacts(self) -> None:
-    drawn = _draw('mine', motions=(_user_mode(reference.PERIODIC, 0.3),))
+    drawn = _draw('mine', motions=(_user_mode(motion_lib.PERIODIC, 0.3),))
     self.assert_spread(drawn.edge, 0.15, 1.2)
     np.testing.assert_array_equal(drawn.gap, 0.0)
 
@@ -172,12 +172,12 @@ class NothingTest(_Case):
     self.assert_nothing(_draw(name, 0.3))
 
   def test_slow_mode(self) -> None:
-    mode = _user_mode(reference.PERIODIC, 0.09)
+    mode = _user_mode(motion_lib.PERIODIC, 0.09)
     self.assert_nothing(_draw('mine', motions=(mode,)))
 
   def test_jump_that_is_made_once_over_level_ground(self) -> None:
     contacts = np.array([[1, 1], [0, 0], [0, 0], [1, 1], [1, 1]])
-    mode = _user_mode(reference.TRANSIENT, 0.5, contacts)
+    mode = _user_mode(motion_lib.TRANSIENT, 0.5, contacts)
     self.assert_nothing(_draw('mine', motions=(mode,)))
 
 

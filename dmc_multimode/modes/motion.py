@@ -1,0 +1,133 @@
+"""Rough reference motions of the base, as their makers give them: keyframes.
+
+A mode is nothing but a few keyframes of the base (and optionally of the feet's
+contacts) over a normalised phase (Krishna and Nguyen, Sec. II-A). Nothing here
+knows about joints, physics or torch; `reference` evaluates motions.
+
+Frames. Keyframes live in the *anchor frame* of a mode command: its origin is
+the point of the support plane under the base at the moment of the command, x
+points along the commanded heading, z up. Quaternions are (w, x, y, z).
+"""
+
+import dataclasses
+from typing import Sequence
+
+import numpy as np
+
+PERIODIC = 'periodic'  # The cycle repeats from where it ended.
+TRANSIENT = 'transient'  # Runs once, then holds its last pose and phase.
+STEADY = 'steady'  # One pose; only the clock runs.
+KINDS = (PERIODIC, TRANSIENT, STEADY)
+
+NUM_FEET = 2  # Contact states are ordered (left, right).
+
+
+@dataclasses.dataclass(frozen=True)
+class Ledge:
+  """A rise or fall of the ground that a mode is made for.
+
+  Attributes:
+    edge: distance from the start of the mode to the edge, in metres along x.
+    height: height of the support behind the edge over that before, in metres.
+  """
+
+  edge: float
+  height: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ReferenceMotion:
+  """One clip (a single cycle) of a locomotion mode.
+
+  Attributes:
+    name: what users call the mode.
+    kind: 'periodic', 'transient' or 'steady'.
+    duration: length of the clip at clock rate 1, in seconds.
+    phases: keyframe phases, rising from 0 to 1, shape [K].
+    positions: base positions in the anchor frame, in metres, shape [K, 3].
+    orientations: base orientations in the anchor frame, shape [K, 4].
+    contacts: feet on the ground (1) or not (0), held until the next keyframe,
+      shape [K, 2], or None where the mode leaves contacts free.
+    ledge: the ground that the mode needs, or None for level ground.
+    takeoff: phase of the jump that the mode is about, or 0. Episodes do not
+      switch away from the mode before the touch-down that follows.
+    mirror: name of the mode that this one becomes when left and right are
+      exchanged; the mode itself by default.
+    half_cycle_symmetric: true where the reference looks the same half a cycle
+      later, so that its mirror image may run half a cycle out of phase.
+  """
+
+  name: str
+  kind: str
+  duration: float
+  phases: np.ndarray
+  positions: np.ndarray
+  orientations: np.ndarray
+  contacts: np.ndarray | None = None
+  ledge: Ledge | None = None
+  takeoff: float = 0.0
+  mirror: str = ''
+  half_cycle_symmetric: bool = False
+
+  def __post_init__(self) -> None:
+    as_array = lambda x: np.asarray(x, dtype=np.float64)
+    object.__setattr__(self, 'phases', as_array(self.phases))
+    object.__setattr__(self, 'positions', as_array(self.positions))
+    orientations = as_array(self.orientations)
+    norms = np.linalg.norm(orientations, axis=-1, keepdims=True)
+    if orientations.ndim != 2 or np.any(norms < 1e-6):
+      raise ValueError(f'{self.name}: orientations must be non-zero [K, 4].')
+    # Unit quaternions stay bit for bit what they are, so that a motion that is
+    # written to a file and read again is the same motion.
+    norms[np.abs(norms - 1.0) < 1e-12] = 1.0
+    object.__setattr__(self, 'orientations', orientations / norms)
+    if self.contacts is not None:
+      object.__setattr__(self, 'contacts', as_array(self.contacts))
+    object.__setattr__(self, 'mirror', self.mirror or self.name)
+    self._validate()
+
+  def _validate(self) -> None:
+    """Raises ValueError with one line that says what is wrong."""
+    k = len(self.phases)
+    shapes = {'positions': (k, 3), 'orientations': (k, 4)}
+    if self.contacts is not None:
+      shapes['contacts'] = (k, NUM_FEET)
+      if not np.isin(self.contacts, (0.0, 1.0)).all():
+        raise ValueError(f'{self.name}: contacts must be 0 or 1.')
+    for field, shape in shapes.items():
+      value = getattr(self, field)
+      if value.shape != shape:
+        raise ValueError(
+          f'{self.name}: {field} has shape {value.shape}, expected {shape}.'
+        )
+      if not np.isfinite(value).all():
+        raise ValueError(f'{self.name}: {field} must be finite.')
+    if self.kind not in KINDS:
+      raise ValueError(
+        f'{self.name}: kind {self.kind!r} is not one of {KINDS}.'
+      )
+    if not (np.isfinite(self.duration) and self.duration > 0):
+      raise ValueError(f'{self.name}: duration must be positive.')
+    if k < 2 or self.phases[0] != 0 or self.phases[-1] != 1:
+      raise ValueError(f'{self.name}: phases must run from 0 to 1.')
+    if not np.all(np.diff(self.phases) > 0):
+      raise ValueError(f'{self.name}: phases must rise strictly.')
+    if not 0 <= self.takeoff <= 1:
+      raise ValueError(f'{self.name}: takeoff must be a phase in [0, 1].')
+    if self.kind == STEADY and np.any(self.positions != self.positions[0]):
+      raise ValueError(f'{self.name}: a steady mode has one base position.')
+
+
+def check_names(motions: Sequence[ReferenceMotion]) -> None:
+  """Raises ValueError for no motions, or two of the same name."""
+  if not motions:
+    raise ValueError('A mode set needs at least one mode.')
+  names = [motion.name for motion in motions]
+  if len(set(names)) != len(names):
+    raise ValueError(f'Mode names must be unique, got {names}.')
+
+
+def yaw(quaternions: np.ndarray) -> np.ndarray:
+  """Returns the heading angle of quaternions [..., 4], in radians."""
+  w, x, y, z = np.moveaxis(np.asarray(quaternions), -1, 0)
+  return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
