@@ -84,10 +84,6 @@ class Parser(NamedTuple):
   share: float
 
 
-def _read_plan(path: pathlib.Path) -> None:
-  plan_lib.course(plan_lib.read(path))
-
-
 def parsers() -> Mapping[str, Parser]:
   """Returns all parsers by the name of what they read."""
   motions = library.resolve('pi3')
@@ -98,7 +94,9 @@ def parsers() -> Mapping[str, Parser]:
   return {
     'mode file, YAML': Parser('modes.yaml', load, error, _MODE, 0.2),
     'mode file, JSON': Parser('modes.json', load, error, mode, 0.05),
-    'plan file': Parser('plan.json', _read_plan, ValueError, plan, 0.65),
+    'plan file': Parser(
+      'plan.json', plan_lib.PlanFile.read, ValueError, plan, 0.65
+    ),
     'codebook.json': Parser(
       codebook.FILE, codebook.load, ValueError, latents, 0.1
     ),
