@@ -7,9 +7,9 @@ import numpy as np
 import torch
 
 from dmc_multimode import pretrained
-from dmc_multimode.agents.ppo import symmetry
 from dmc_multimode.evaluation import acceptance
 from dmc_multimode.evaluation import evaluator as scoring
+from dmc_multimode.experiments import symmetry
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import config as task_config
@@ -37,12 +37,12 @@ class HardSwitch:
     self.mode_set: mode_set_lib.ModeSet = mode_set_lib.one_hot(
       [policy.mode_set.motions[0] for policy in policies]
     )
-    self._commands = symmetry.Commands(self.mode_set.latents)
+    self._mode_of = symmetry.ModeOf(self.mode_set.latents)
 
   def select_action(self, observation: np.ndarray) -> np.ndarray:
     """Joint targets [B, 10] for observations [B, D] with one-hot commands."""
-    running = self._commands.modes(torch.from_numpy(observation)).numpy()
-    start, end = self._commands.part.start, self._commands.part.stop
+    running = self._mode_of(torch.from_numpy(observation)).numpy()
+    start, end = self._mode_of.part.start, self._mode_of.part.stop
     actions = np.zeros(
       (len(observation), observations.NUM_JOINTS), dtype=np.float32
     )

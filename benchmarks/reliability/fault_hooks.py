@@ -48,8 +48,8 @@ def journal(path: str) -> None:
   def run(self: Loop, config: Any, logger: Any, save: Any, *rest: Any) -> None:
     learn = self._learner.step
 
-    def learned(buffers: Any) -> dict[str, float]:
-      metrics = learn(buffers)
+    def learned(buffers: Any, steps: int) -> dict[str, float]:
+      metrics = learn(buffers, steps)
       note(f'at {self.steps} {digest(self.state()[0])}')
       return metrics
 

@@ -1,48 +1,113 @@
-"""What the agents ask of a batched environment: a structural protocol."""
+"""What agents and environments know of each other: structural protocols."""
 
-from typing import Any, Mapping, Protocol
+import dataclasses
+from typing import Callable, Mapping, Protocol
 
 from dm_env import specs
 import numpy as np
+import torch
+
+# Mirror images of raw observations [N, D] and of actions [N, ..., A].
+Symmetry = Callable[
+  [torch.Tensor, torch.Tensor], tuple[torch.Tensor, torch.Tensor]
+]
+# Index of the mode that each raw observation commands: [N, D] -> [N].
+ModeOf = Callable[[torch.Tensor], torch.Tensor]
 
 
-class FinishedEpisodes(Protocol):
-  """N episodes, wherever they were.
+class Policy(Protocol):
+  """What acts in a batch of worlds."""
+
+  def select_action(self, observations: np.ndarray, /) -> np.ndarray:
+    """Returns actions [B, A] for observations float32 [B, D]."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class EnvironmentDescription:
+  """What an agent must know of an environment before it is built.
 
   Attributes:
-    initial, final: indices of their first and last modes, [N].
-    returns: normalised returns, [N].
-    causes: why they ended, 0 for the time limit, [N].
+    observation_spec: one world's observation, with privileged parts, [D].
+    action_spec: one world's action, [A].
+    privileged_size: how many of the observation's last numbers only the value
+      function sees.
+    standing_action: what a policy does before it has learned, [A]; zero if
+      None.
+    symmetry: mirrors observations and actions, if the environment has a mirror
+      image.
+    mode_of: tells modes by observations, if there are any.
   """
 
-  initial: np.ndarray
-  final: np.ndarray
-  returns: np.ndarray
-  causes: np.ndarray
+  observation_spec: specs.Array
+  action_spec: specs.BoundedArray
+  privileged_size: int = 0
+  standing_action: np.ndarray | None = None
+  symmetry: Symmetry | None = None
+  mode_of: ModeOf | None = None
 
 
-class EpisodeResults(FinishedEpisodes, Protocol):
+class Outcomes(Protocol):
+  """N finished episodes, wherever they were."""
+
+  @property
+  def initial(self) -> np.ndarray:
+    """Indices of their first modes, [N]."""
+
+  @property
+  def final(self) -> np.ndarray:
+    """Indices of their last modes, [N]."""
+
+  @property
+  def returns(self) -> np.ndarray:
+    """Normalised returns, [N]."""
+
+  @property
+  def causes(self) -> np.ndarray:
+    """Why they ended, 0 for the time limit, [N]."""
+
+
+class EpisodeResults(Outcomes, Protocol):
   """Those that ended in a step; see `BatchedTimeStep`."""
 
-  worlds: np.ndarray
-  lengths: np.ndarray
+  @property
+  def worlds(self) -> np.ndarray:
+    """Where they were, [N]."""
+
+  @property
+  def lengths(self) -> np.ndarray:
+    """Control steps, [N]."""
 
 
 class BatchedTimeStep(Protocol):
   """A step of B worlds.
 
   `discount` is the mask for bootstrapping, `last` that for cutting: at a time
-  limit the former is 1 and the latter true. `observation` [B, D] is already
-  that of the next episode where `last`; `final_observation` [N, D] is what the
-  N worlds of `results.worlds` saw at the end.
+  limit the former is 1 and the latter true.
   """
 
-  reward: np.ndarray
-  discount: np.ndarray
-  last: np.ndarray
-  observation: np.ndarray
-  final_observation: np.ndarray
-  results: Any
+  @property
+  def reward(self) -> np.ndarray:
+    """Rewards, [B]."""
+
+  @property
+  def discount(self) -> np.ndarray:
+    """0 where the episode terminated, 1 elsewhere, [B]."""
+
+  @property
+  def last(self) -> np.ndarray:
+    """Whether the episode ended, [B]."""
+
+  @property
+  def observation(self) -> np.ndarray:
+    """Of the next episode where `last`, [B, D]."""
+
+  @property
+  def final_observation(self) -> np.ndarray:
+    """What the N worlds of `results.worlds` saw at the end, [N, D]."""
+
+  @property
+  def results(self) -> EpisodeResults:
+    """The N episodes that ended."""
 
 
 class BatchedEnvironment(Protocol):
@@ -59,14 +124,14 @@ class BatchedEnvironment(Protocol):
   def reset(self) -> np.ndarray:
     """Begins an episode everywhere; returns observations [B, D]."""
 
-  def step(self, actions: np.ndarray) -> Any:
-    """Applies actions [B, A]; returns a `BatchedTimeStep`."""
+  def step(self, actions: np.ndarray) -> BatchedTimeStep:
+    """Applies actions, [B, A]."""
 
   def state(self) -> dict[str, np.ndarray]:
     """Returns copies of everything that `restore` needs."""
 
   def restore(self, state: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Takes over a `state`; returns the observations of that moment."""
+    """Restores a `state`; returns the observations of that moment."""
 
 
 class MeasuredEnvironment(BatchedEnvironment, Protocol):
@@ -85,6 +150,10 @@ class TrainingEnvironment(BatchedEnvironment, Protocol):
   """
 
   invalid_cause: int
+
+  @property
+  def steps(self) -> int:
+    """Environment steps so far, summed over all worlds of all ranks."""
 
   def learn(
     self,

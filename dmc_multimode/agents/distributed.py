@@ -1,15 +1,14 @@
 """What processes that train one network together tell each other.
 
-Each of them, a rank, has worlds of its own and the same network. `Local` is for
-one process alone: its operations are identities. `Torch` connects the ranks
-that `torchrun` has started. An operation of several ranks is collective: every
-rank must call it, in the same order, or all of them wait.
+Each of them, a rank, has worlds of its own and the same network. An operation
+of several ranks is collective: every rank must call it, in the same order, or
+all of them wait.
 """
 
 import contextlib
 import datetime
 import os
-from typing import Callable, Iterator, NamedTuple, Protocol, Sequence
+from typing import Callable, Iterator, NamedTuple, Sequence
 
 import numpy as np
 import torch
@@ -27,96 +26,21 @@ class Moments(NamedTuple):
   std: torch.Tensor
 
 
-class Communicator(Protocol):
-  """Connects the ranks; see the module's docstring."""
-
-  @property
-  def rank(self) -> int:
-    """Number of this process, from 0."""
-
-  @property
-  def size(self) -> int:
-    """How many there are."""
-
-  def split(self) -> 'Communicator':
-    """Returns one of the same ranks that another thread may use meanwhile."""
-
-  def average(self, tensors: Sequence[torch.Tensor]) -> None:
-    """Puts the mean over all ranks into tensors of one type, in place."""
-
-  def broadcast(self, tensors: Sequence[torch.Tensor]) -> None:
-    """Puts what rank 0 has into tensors, in place."""
-
-  def moments(self, values: torch.Tensor) -> Moments:
-    """Returns the moments of all ranks' values, [N] with any N."""
-
-  def any(self, *flags: bool) -> tuple[bool, ...]:
-    """Returns, of each flag, whether a rank has raised it."""
-
-  def gather(self, rows: torch.Tensor) -> torch.Tensor:
-    """Returns all ranks' rows, [N, ...] with any N, in the order of ranks."""
-
-  def collect(self, payload: bytes) -> list[bytes]:
-    """Returns all ranks' payloads at rank 0, and nothing elsewhere."""
-
-  def scatter(self, payloads: Sequence[bytes]) -> bytes:
-    """Returns to each rank its own of the payloads that rank 0 gives."""
-
-
-class Local:
-  """One process alone."""
-
-  rank = 0
-  size = 1
-
-  def split(self) -> 'Local':
-    """See `Communicator`."""
-    return self
-
-  def average(self, tensors: Sequence[torch.Tensor]) -> None:
-    """See `Communicator`."""
-
-  def broadcast(self, tensors: Sequence[torch.Tensor]) -> None:
-    """See `Communicator`."""
-
-  def moments(self, values: torch.Tensor) -> Moments:
-    """See `Communicator`."""
-    if len(values) < 2:
-      return Moments(len(values), values.mean(), values.new_zeros(()))
-    return Moments(len(values), values.mean(), values.std())
-
-  def any(self, *flags: bool) -> tuple[bool, ...]:
-    """See `Communicator`."""
-    return flags
-
-  def gather(self, rows: torch.Tensor) -> torch.Tensor:
-    """See `Communicator`."""
-    return rows
-
-  def collect(self, payload: bytes) -> list[bytes]:
-    """See `Communicator`."""
-    return [payload]
-
-  def scatter(self, payloads: Sequence[bytes]) -> bytes:
-    """See `Communicator`."""
-    (payload,) = payloads
-    return payload
-
-
-LOCAL = Local()
-
-
-class Torch:
-  """The ranks of a `torch.distributed` process group.
+class Communicator:
+  """Connects the ranks of a torch process group, or stands for one process.
 
   Every operation raises ConnectionError where another rank has ended.
+
+  Attributes:
+    rank: number of this process, from 0.
+    size: how many there are. Of one, every operation is an identity.
   """
 
   def __init__(self, group: distributed.ProcessGroup | None = None):
-    """Uses `group`, which has all ranks; the default group if None."""
+    """Connects the ranks of `group`; this process is alone if None."""
     self._group = group
-    self.rank = distributed.get_rank()
-    self.size = distributed.get_world_size()
+    self.rank = group.rank() if group else 0
+    self.size = group.size() if group else 1
 
   @contextlib.contextmanager
   def _contact(self) -> Iterator[None]:
@@ -128,10 +52,12 @@ class Torch:
         f'Rank {self.rank} has lost the others: {reason}'
       ) from error
 
-  def split(self) -> 'Torch':
-    """See `Communicator`."""
+  def split(self) -> 'Communicator':
+    """Returns one of the same ranks that another thread may use meanwhile."""
+    if self.size == 1:
+      return self
     with self._contact():
-      return Torch(distributed.new_group(timeout=_PATIENCE))
+      return Communicator(distributed.new_group(timeout=_PATIENCE))
 
   def _sum(self, tensor: torch.Tensor) -> torch.Tensor:
     """Adds up over all ranks, in place, to the same bits everywhere."""
@@ -140,7 +66,9 @@ class Torch:
     return tensor
 
   def average(self, tensors: Sequence[torch.Tensor]) -> None:
-    """See `Communicator`."""
+    """Puts the mean over all ranks into tensors of one type, in place."""
+    if self.size == 1:
+      return
     # One large operation costs less than many small ones.
     flat = torch.cat([tensor.flatten() for tensor in tensors])
     parts = self._sum(flat).div_(self.size).split([t.numel() for t in tensors])
@@ -148,13 +76,19 @@ class Torch:
       tensor.copy_(part.view_as(tensor))
 
   def broadcast(self, tensors: Sequence[torch.Tensor]) -> None:
-    """See `Communicator`."""
+    """Puts what rank 0 has into tensors, in place."""
+    if self.size == 1:
+      return
     with self._contact():
       for tensor in tensors:
         distributed.broadcast(tensor, 0, group=self._group)
 
   def moments(self, values: torch.Tensor) -> Moments:
-    """See `Communicator`."""
+    """Returns the moments of all ranks' values, [N] with any N."""
+    if self.size == 1:
+      alone = len(values) < 2
+      std = values.new_zeros(()) if alone else values.std()
+      return Moments(len(values), values.mean(), std)
     wide = values.double()
     total = torch.stack([wide.new_tensor(len(wide)), wide.sum()])
     count, mean = self._sum(total)[0], total[1] / total[0].clamp(min=1)
@@ -163,60 +97,48 @@ class Torch:
     return Moments(int(count), mean.to(values.dtype), std.to(values.dtype))
 
   def any(self, *flags: bool) -> tuple[bool, ...]:
-    """See `Communicator`."""
+    """Returns, of each flag, whether a rank has raised it."""
+    if self.size == 1:
+      return flags
     counts = self._sum(torch.tensor(flags).int()).tolist()
     return tuple(count > 0 for count in counts)
 
   def gather(self, rows: torch.Tensor) -> torch.Tensor:
-    """See `Communicator`."""
-    lengths = self._lengths(len(rows))
-    padded = rows.new_zeros(max(lengths), *rows.shape[1:])
+    """Returns all ranks' rows, [N, ...] with any N, in the order of ranks."""
+    if self.size == 1:
+      return rows
+    lengths = torch.zeros(self.size, dtype=torch.int64)
+    lengths[self.rank] = len(rows)
+    counts = self._sum(lengths).tolist()
+    padded = rows.new_zeros(max(counts), *rows.shape[1:])
     padded[: len(rows)] = rows
-    parts = [torch.empty_like(padded) for _ in lengths]
+    parts = [torch.empty_like(padded) for _ in counts]
     with self._contact():
       distributed.all_gather(parts, padded, group=self._group)
-    return torch.cat(
-      [part[:length] for part, length in zip(parts, lengths, strict=True)]
-    )
-
-  def _lengths(self, mine: int) -> list[int]:
-    lengths = torch.zeros(self.size, dtype=torch.int64)
-    lengths[self.rank] = mine
-    return self._sum(lengths).tolist()
+    return torch.cat([p[:n] for p, n in zip(parts, counts, strict=True)])
 
   def collect(self, payload: bytes) -> list[bytes]:
-    """See `Communicator`."""
-    lengths = self._lengths(len(payload))
-    padded = _padded(payload, max(lengths))
-    parts = None
-    if self.rank == 0:
-      parts = [torch.empty_like(padded) for _ in lengths]
+    """Returns all ranks' payloads at rank 0, and nothing elsewhere."""
+    if self.size == 1:
+      return [payload]
+    parts = [b''] * self.size if self.rank == 0 else None
     with self._contact():
-      distributed.gather(padded, parts, 0, group=self._group)
-    return [
-      part[:length].numpy().tobytes()
-      for part, length in zip(parts or [], lengths, strict=bool(parts))
-    ]
+      distributed.gather_object(payload, parts, 0, group=self._group)
+    return parts or []
 
   def scatter(self, payloads: Sequence[bytes]) -> bytes:
-    """See `Communicator`."""
-    lengths = torch.zeros(self.size, dtype=torch.int64)
-    if self.rank == 0:
-      lengths += torch.tensor([len(payload) for payload in payloads])
-    self.broadcast([lengths])
-    most = int(lengths.max())
-    mine, parts = torch.empty(most, dtype=torch.uint8), None
-    if self.rank == 0:
-      parts = [_padded(payload, most) for payload in payloads]
+    """Returns to each rank its own of the payloads that rank 0 gives."""
+    if self.size == 1:
+      (payload,) = payloads
+      return payload
+    mine: list[bytes] = [b'']
+    parts = list(payloads) if self.rank == 0 else None
     with self._contact():
-      distributed.scatter(mine, parts, 0, group=self._group)
-    return mine[: lengths[self.rank]].numpy().tobytes()
+      distributed.scatter_object_list(mine, parts, 0, group=self._group)
+    return mine[0]
 
 
-def _padded(payload: bytes, length: int) -> torch.Tensor:
-  padded = np.zeros(length, dtype=np.uint8)
-  padded[: len(payload)] = np.frombuffer(payload, dtype=np.uint8)
-  return torch.from_numpy(padded)
+LOCAL = Communicator()
 
 
 @contextlib.contextmanager
@@ -243,7 +165,7 @@ def connect(device: torch.device | None = None) -> Iterator[Communicator]:
   except RuntimeError as error:
     raise ConnectionError(f'The other ranks do not answer: {error}') from error
   try:
-    communicator = Torch()
+    communicator = Communicator(distributed.group.WORLD)
     yield communicator
     communicator.any(False)  # Who leaves early looks dead to the others.
   finally:

@@ -5,19 +5,17 @@ import math
 import time
 from typing import Any, Callable, Mapping
 
-import numpy as np
 import torch
 
 from dmc_multimode.agents import checkpointing
 from dmc_multimode.agents import core as agents_core
 from dmc_multimode.agents import distributed
 from dmc_multimode.agents import loggers
+from dmc_multimode.agents import statistics
 from dmc_multimode.agents.ppo import acting
 from dmc_multimode.agents.ppo import learning
-
-_MOST_DIVERGED = 0.001  # Share of control steps.
-_WINDOW = 20_000  # Control steps, at least, of which that is the share.
-_TRACKED = ('returns', 'survival', 'seen')
+from dmc_multimode.agents.ppo import networks
+from dmc_multimode.agents.ppo import rollouts
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,12 +23,12 @@ class TrainingConfig:
   """How long to train and how often to report.
 
   Attributes:
-    steps: control steps of all worlds together.
+    steps: environment steps, summed over all worlds.
     minutes: wall-clock time of this process after which it stops.
     log_every: iterations between rows in the logs.
     checkpoint_seconds: most time between two checkpoints.
-    keep_every: control steps between policies that are kept for good; 0 keeps
-      none but the last.
+    keep_every: environment steps between policies that are kept for good; 0
+      keeps none but the last.
   """
 
   steps: int = 12_000_000
@@ -49,67 +47,14 @@ class TrainingConfig:
         raise ValueError(f'{name} must be positive, got {getattr(self, name)}.')
 
 
-class ReturnTracker:
-  """Running means of normalised return and survival, per transition."""
-
-  _MEMORY = 0.98  # A mean follows about the last 50 episodes.
-
-  def __init__(self, num_modes: int):
-    """Starts at zero, with nothing seen."""
-    self.returns = np.zeros((num_modes, num_modes))
-    self.survival = np.zeros((num_modes, num_modes))
-    self.seen = np.zeros((num_modes, num_modes))
-
-  def update(self, results: agents_core.FinishedEpisodes) -> None:
-    """Takes in finished episodes, in order."""
-    for i, f, value, cause in zip(
-      results.initial,
-      results.final,
-      results.returns,
-      results.causes,
-      strict=True,
-    ):
-      self.seen[i, f] += 1
-      rate = max(1 - self._MEMORY, 1 / self.seen[i, f])
-      self.returns[i, f] += rate * (value - self.returns[i, f])
-      self.survival[i, f] += rate * ((cause == 0) - self.survival[i, f])
-
-  def summary(self, names: tuple[str, ...]) -> dict[str, float]:
-    """Returns MRA, survival, and both per mode and transition."""
-    diagonal = np.diagonal(self.returns)
-    result = {
-      'mra_modes': float(diagonal.mean()),
-      'mra_transitions': float(self.returns.mean()),
-      'survival': float(self.survival.mean()),
-      'worst_transition': float(self.returns.min()),
-    }
-    for i, name in enumerate(names):
-      result[f'return/{name}'] = float(self.returns[i, i])
-      result[f'survival/{name}'] = float(self.survival[i, i])
-    for i, first in enumerate(names):
-      for f, second in enumerate(names):
-        if i != f:
-          key = f'{first}->{second}'
-          result[f'return/{key}'] = float(self.returns[i, f])
-          result[f'survival/{key}'] = float(self.survival[i, f])
-    return result
-
-
-@dataclasses.dataclass
-class _Episodes:
-  """See `environment.FinishedEpisodes`."""
-
-  initial: np.ndarray
-  final: np.ndarray
-  returns: np.ndarray
-  causes: np.ndarray
-
-
 class TrainingLoop:
   """Collects rollouts in all worlds, learns from them, over and over.
 
   Where several ranks train together, each has some of the worlds. They agree on
   when to stop and to save, and `run`, `state` and `restore` are collective.
+
+  Attributes:
+    iterations: how many there were.
   """
 
   def __init__(
@@ -139,18 +84,27 @@ class TrainingLoop:
     self._names = mode_names
     self._probabilities = probabilities
     self._communicator = communicator
-    self._returns = ReturnTracker(len(mode_names))
-    self.steps = self.iterations = 0
-    self._diverged = 0  # Worlds, by now.
-    self._window = np.zeros(2, dtype=np.int64)  # Worlds that diverged, steps.
+    self._returns = statistics.ReturnTracker(len(mode_names))
+    self._diverged = statistics.DivergenceCounter()
+    self.iterations = 0
     self._observation = torch.from_numpy(environment.reset())
     self._buffers = self._allocate()
 
-  def _allocate(self) -> learning.Rollouts:
+  @property
+  def steps(self) -> int:
+    """Environment steps, summed over all worlds."""
+    return self._environment.steps
+
+  @property
+  def network(self) -> networks.ActorCritic:
+    """Returns what is trained."""
+    return self._learner.network
+
+  def _allocate(self) -> rollouts.Rollouts:
     shape = (self._length, self._environment.num_worlds)
     size = self._environment.observation_spec().shape[0]
     actions = self._environment.action_spec().shape[0]
-    return learning.Rollouts(
+    return rollouts.Rollouts(
       observations=torch.zeros(*shape, size),
       actions=torch.zeros(*shape, actions),
       log_probs=torch.zeros(shape),
@@ -164,9 +118,9 @@ class TrainingLoop:
   def _collect(self) -> None:
     """Fills the buffers with one rollout of every world."""
     data, seen = self._buffers, self._observation
-    finished = []
+    steps, table = self.steps, statistics.EpisodeTable()
     for t in range(self._length):
-      sample = self._actor.sample(seen, self.steps)
+      sample = self._actor.sample(seen, steps)
       step = self._environment.step(sample.action.numpy())
       data.observations[t], data.actions[t] = seen, sample.action
       data.log_probs[t], data.means[t] = sample.log_prob, sample.mean
@@ -182,57 +136,20 @@ class TrainingLoop:
       data.next_observations[t, torch.from_numpy(worlds[timed_out])] = (
         torch.from_numpy(step.final_observation[timed_out])
       )
-      finished.append(_table(t, step.results))
+      table.add(t, step.results)
     self._observation = seen
-    worlds_in_all = self._environment.num_worlds * self._communicator.size
-    self.steps += self._length * worlds_in_all
     self.iterations += 1
-    self._learn_from_episodes(
-      np.concatenate(finished), self._length * worlds_in_all
-    )
-
-  def _learn_from_episodes(self, mine: np.ndarray, steps: int) -> None:
-    """Tells what the episodes of all ranks have come to.
-
-    Args:
-      mine: episodes of this rank, see `_table`.
-      steps: control steps of all ranks in which they ended.
-    """
-    table = self._communicator.gather(torch.from_numpy(mine)).numpy()
-    # As if one rank had all worlds: by time first.
-    table = table[np.argsort(table[:, 0], kind='stable')]
-    initial, final, causes = table[:, 1:4].T.astype(np.int64)
-    self._count_diverged(causes, steps)
-    episodes = _Episodes(initial, final, table[:, 4], causes)
+    episodes = table.gather(self._communicator)
+    diverged = episodes.causes == self._environment.invalid_cause
+    self._diverged.update(int(diverged.sum()), self.steps - steps)
     self._returns.update(episodes)
     if self._communicator.size > 1:
-      self._environment.learn(initial, final, table[:, 4], causes == 0)
-
-  def _count_diverged(self, causes: np.ndarray, steps: int) -> None:
-    """Counts the worlds that diverged, which have begun anew by themselves.
-
-    Args:
-      causes: of the ends of episodes.
-      steps: control steps in which these were.
-
-    Raises:
-      FloatingPointError: there are too many: more than `_MOST_DIVERGED` of the
-        control steps since the last window ended, which it does as soon as it
-        has `_WINDOW` steps, or of a whole one before it has.
-    """
-    diverged = int(np.sum(causes == self._environment.invalid_cause))
-    self._diverged += diverged
-    self._window += diverged, steps
-    count, length = self._window.tolist()
-    if count > _MOST_DIVERGED * max(length, _WINDOW):
-      raise FloatingPointError(
-        f'The physics of {count} worlds diverged in {length:,} control steps; '
-        f'{_MOST_DIVERGED:.1%} of {max(length, _WINDOW):,} is the most. The '
-        'last checkpoint is unharmed: resume from it; if it recurs, start anew '
-        'with a shorter physics_timestep or a lower learning rate.'
+      self._environment.learn(
+        episodes.initial,
+        episodes.final,
+        episodes.returns,
+        episodes.causes == 0,
       )
-    if length >= _WINDOW:
-      self._window[:] = 0
 
   def run(
     self,
@@ -249,14 +166,14 @@ class TrainingLoop:
       logger: gets a row every `config.log_every` iterations.
       save: called at least every `config.checkpoint_seconds` and at the end.
       should_stop: asked after every iteration.
-      keep: called every `config.keep_every` control steps.
+      keep: called every `config.keep_every` environment steps.
     """
     began = saved = logged = time.monotonic()
     logged_steps, saved_steps = self.steps, -1
     while self.steps < config.steps:
       before = self.steps
       self._collect()
-      metrics = self._learner.step(self._buffers)
+      metrics = self._learner.step(self._buffers, before)
       if config.keep_every and (
         self.steps // config.keep_every > before // config.keep_every
       ):
@@ -283,7 +200,7 @@ class TrainingLoop:
     return {
       'steps': self.steps,
       'steps_per_second': speed,
-      'diverged': self._diverged,
+      'diverged': self._diverged.total,
       **self._returns.summary(self._names),
       **metrics,
       **self._probabilities(),
@@ -300,11 +217,11 @@ class TrainingLoop:
     tensors: dict[str, Any] = {}
     for prefix, part in self._parts():
       tensors |= {f'{prefix}/{k}': v for k, v in part.state().items()}
-    for name in _TRACKED:
-      tensors[f'tracker/{name}'] = getattr(self._returns, name).copy()
+    tracked = self._returns.state()
+    tensors |= {f'tracker/{name}': value for name, value in tracked.items()}
     values = {'steps': self.steps, 'iterations': self.iterations}
-    if self._diverged:
-      values['diverged'] = self._diverged
+    if self._diverged.total:
+      values['diverged'] = self._diverged.total
     if self._communicator.size > 1:
       values['ranks'] = self._communicator.size
     return checkpointing.collect(self._communicator, tensors), values
@@ -319,7 +236,7 @@ class TrainingLoop:
   def restore(
     self, tensors: Mapping[str, torch.Tensor], values: Mapping[str, Any]
   ) -> None:
-    """Takes over a `state`; training then continues bit for bit.
+    """Restores a `state`; training then continues bit for bit.
 
     Args:
       tensors, values: what `state` returned; only those of rank 0 matter.
@@ -339,23 +256,12 @@ class TrainingLoop:
       self._observation = torch.from_numpy(
         self._environment.restore(world_state)
       )
-      for name in _TRACKED:
-        getattr(self._returns, name)[:] = tensors[f'tracker/{name}'].numpy()
-      self.steps = int(values['steps'])
+      self._returns.restore(learning.part_of(tensors, 'tracker/'))
       self.iterations = int(values['iterations'])
-      self._diverged = int(values.get('diverged', 0))  # Older ones lack it.
+      # Older ones lack it.
+      self._diverged.restore(int(values.get('diverged', 0)))
     except KeyError as error:
       raise ValueError(f'The checkpoint lacks {error}.') from error
     except (IndexError, OverflowError, RuntimeError, TypeError) as error:
       reason = ' '.join(str(error).split())
       raise ValueError(f'The checkpoint is damaged: {reason}') from error
-    self._window[:] = 0
-
-
-def _table(step: int, results: agents_core.EpisodeResults) -> np.ndarray:
-  """Returns (step, initial, final, cause, return) of episodes, [N, 5]."""
-  steps = np.full(len(results.initial), step)
-  return np.stack(
-    (steps, results.initial, results.final, results.causes, results.returns),
-    axis=1,
-  ).astype(np.float64)

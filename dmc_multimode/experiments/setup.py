@@ -7,15 +7,15 @@ from typing import Any, Mapping
 
 import torch
 
+from dmc_multimode.agents import core
 from dmc_multimode.agents import distributed
 from dmc_multimode.agents import runner
 from dmc_multimode.agents.ppo import builder as builder_lib
 from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.agents.ppo import kickstarting
-from dmc_multimode.agents.ppo import learning
 from dmc_multimode.agents.ppo import networks
-from dmc_multimode.agents.ppo import symmetry
 from dmc_multimode.arenas import track
+from dmc_multimode.experiments import symmetry
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.pretrained import policy as policy_lib
@@ -250,8 +250,10 @@ def build(
   # Two threads at once, see `agents.pair`, each with its share of all.
   torch.set_num_threads(max(config.threads // 2, 1))
   environment = _make_environment(config, mode_set, communicator)
+  about = _describe(config, environment, device)
   builder = builder_lib.PPOBuilder(
     config.ppo,
+    about,
     config.seed,
     communicator,
     device,
@@ -259,16 +261,13 @@ def build(
     parallel=config.threads > 1 and torch.device(device).type == 'cpu',
   )
   network = builder.make_networks(
-    environment.observation_spec(),
-    environment.action_spec(),
-    environment.standing_action(),
-    environment.privileged_size,
-    initial.network.state_dict() if initial else None,
+    initial.network.state_dict() if initial else None
   )
+  reference = _make_reference(config, mode_set, about, network)
   loop = runner.TrainingLoop(
     environment,
     builder.make_actor(network),
-    _make_learner(config, environment, builder, network, device),
+    builder.make_learner(network, reference),
     config.ppo.rollout_length,
     mode_set.names,
     lambda: {
@@ -306,20 +305,36 @@ def _make_environment(
   )
 
 
-def _make_learner(
+def _describe(
   config: RunConfig,
   environment: batched_env.BatchedImitation,
-  builder: builder_lib.PPOBuilder,
-  network: networks.ActorCritic,
   device: torch.device | str,
-) -> learning.PPOLearner:
-  """Returns what learns from the environment's worlds."""
-  names, latents = environment.mode_set.names, environment.mode_set.latents
-  commands = symmetry.Commands(latents, device=device)
-  mirror, anchor = None, None
+) -> core.EnvironmentDescription:
+  """Returns what the agent must know of the worlds."""
+  latents = environment.mode_set.latents
+  mirror = None
   if config.ppo.symmetry != 'none':
     mirror = symmetry.Mirror(environment.mirror_image(), latents, device)
-  if config.init_from and config.ppo.anchor_weight:
-    known = config.init_modes.split(',')
-    anchor = kickstarting.Anchor(network, commands, [n in known for n in names])
-  return builder.make_learner(network, mirror, commands, anchor)
+  return core.EnvironmentDescription(
+    environment.observation_spec(),
+    environment.action_spec(),
+    environment.privileged_size,
+    environment.standing_action(),
+    mirror,
+    symmetry.ModeOf(latents, device=device),
+  )
+
+
+def _make_reference(
+  config: RunConfig,
+  mode_set: mode_set_lib.ModeSet,
+  about: core.EnvironmentDescription,
+  network: networks.ActorCritic,
+) -> kickstarting.ReferencePolicy | None:
+  """Returns the policy to stay near to, which the network begins as."""
+  if not (config.init_from and config.ppo.anchor_weight and about.mode_of):
+    return None
+  known = config.init_modes.split(',')
+  return kickstarting.ReferencePolicy(
+    network, about.mode_of, [name in known for name in mode_set.names]
+  )

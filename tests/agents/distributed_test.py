@@ -20,8 +20,7 @@ from dmc_multimode.agents import distributed
 from dmc_multimode.agents import runner
 from dmc_multimode.agents.ppo import builder
 from dmc_multimode.agents.ppo import config as ppo_config
-from dmc_multimode.agents.ppo import learning
-from dmc_multimode.agents.ppo import symmetry
+from dmc_multimode.agents.ppo import rollouts as rollouts_lib
 from dmc_multimode.evaluation import episodes as evaluation_episodes
 from tests.agents import toy
 
@@ -34,22 +33,22 @@ _WHOLE = ppo_config.PPOConfig(
   hidden_sizes=(16,), rollout_length=4, epochs=2, minibatches=1
 )
 _PPO = dataclasses.replace(_WHOLE, minibatches=2)
-_LATENTS = np.array([[-1.0], [1.0], [0.0]], np.float32)
+_LATENTS = torch.tensor([-1.0, 1.0, 0.0])
 _Found = dict[str, Any]
 
 
 class _Environment(toy.TargetEnvironment):
   """Worlds of a rank, which note what they learn; mode 0 at rank 0, else 1."""
 
-  def __init__(self, rank: int, seed: int):
+  def __init__(self, rank: int, seed: int, replicas: int = 1):
     draw = lambda rng, count: rng.uniform(size=(count, 4))
-    super().__init__(4, lambda seen: seen[:, :1], draw, seed)
+    super().__init__(4, lambda seen: seen[:, :1], draw, seed, replicas)
     self._rank = rank
     self.learned: list[np.ndarray] = []
 
   def step(self, actions: np.ndarray) -> toy.TimeStep:
     found = super().step(actions)
-    found.results.initial[:] = self._rank
+    found.results.initial[:] = found.results.final[:] = self._rank
     return found
 
   def learn(self, *outcome: np.ndarray) -> None:
@@ -75,11 +74,11 @@ def _loop(
   communicator: distributed.Communicator,
 ) -> tuple[_Environment, runner.TrainingLoop]:
   seed = distributed.rank_seed(5, communicator.rank)
-  environment = _Environment(communicator.rank, seed)
-  parts = builder.PPOBuilder(_PPO, 0, communicator, parallel=True)
-  network = parts.make_networks(
-    environment.observation_spec(), environment.action_spec()
+  environment = _Environment(communicator.rank, seed, communicator.size)
+  parts = builder.PPOBuilder(
+    _PPO, environment.description(), 0, communicator, parallel=True
   )
+  network = parts.make_networks()
   return environment, runner.TrainingLoop(
     environment,
     parts.make_actor(network),
@@ -91,14 +90,14 @@ def _loop(
   )
 
 
-def _rollouts() -> learning.Rollouts:
+def _rollouts() -> rollouts_lib.Rollouts:
   """8 steps of 6 worlds, in which all modes and ends occur."""
   generator = torch.Generator().manual_seed(1)
   draw = lambda *shape: torch.randn(*shape, generator=generator)
   seen, ended = draw(8, 6, 4), draw(8, 6) > 1
   # Mode 2 is seen by the worlds of one rank alone.
   seen[..., 2] = torch.tensor([-1.0, 1.0, -1.0, 1.0, 0.0, -1.0])
-  return learning.Rollouts(
+  return rollouts_lib.Rollouts(
     observations=seen,
     actions=draw(8, 6, 1),
     log_probs=draw(8, 6).abs().neg(),
@@ -115,16 +114,15 @@ def _learn(
 ) -> tuple[dict[str, torch.Tensor], dict[str, float]]:
   """Learns from a rank's part of the rollouts: its network, and metrics."""
   config = dataclasses.replace(_WHOLE, advantages=advantages)
-  environment = _Environment(0, 0)
-  parts = builder.PPOBuilder(config, 0, communicator, parallel=True)
-  network = parts.make_networks(
-    environment.observation_spec(), environment.action_spec()
-  )
-  learner = parts.make_learner(network, commands=symmetry.Commands(_LATENTS))
+  mode_of = lambda raw: (raw[:, 2:3] - _LATENTS).abs().argmin(dim=1)
+  about = _Environment(0, 0).description(mode_of=mode_of)
+  parts = builder.PPOBuilder(config, about, 0, communicator, parallel=True)
+  network = parts.make_networks()
+  learner = parts.make_learner(network)
   mine = slice(communicator.rank, None, communicator.size)
-  data = learning.Rollouts(*(field[:, mine] for field in _rollouts()))
+  data = rollouts_lib.Rollouts(*(field[:, mine] for field in _rollouts()))
   for _ in range(3):
-    metrics = learner.step(data)
+    metrics = learner.step(data, 0)
   return network.state_dict(), metrics
 
 
@@ -232,7 +230,7 @@ def _train(ranks: distributed.Communicator) -> _Found:
     other.restore(*first)
   except ValueError as error:
     found['error'] = str(error)
-  loop._learner.network.log_std.data += 0.1 * ranks.rank
+  loop.network.log_std.data += 0.1 * ranks.rank
   try:
     loop.state()
   except ValueError as error:

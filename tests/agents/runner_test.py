@@ -1,4 +1,4 @@
-"""Tests of dmc_multimode.agents.training."""
+"""Tests of dmc_multimode.agents.runner."""
 
 import dataclasses
 import itertools
@@ -14,7 +14,6 @@ import torch
 
 from dmc_multimode.agents import checkpointing
 from dmc_multimode.agents import runner
-from dmc_multimode.agents.ppo import builder
 from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.experiments import setup
 from dmc_multimode.modes import library
@@ -147,70 +146,15 @@ def test_rows_of_the_log() -> None:
   assert shown <= row.keys() and row['steps'] == _ITERATION
 
 
-# The tracker.
-
-
-def _results(*episodes: tuple[int, int, float, int]) -> toy.Results:
-  """Each (initial, final, return, cause)."""
-  initial, final, returns, causes = map(np.array, zip(*episodes, strict=True))
-  count = np.arange(len(initial))
-  return toy.Results(count, initial, final, returns, count, causes)
-
-
-def test_tracker_by_hand() -> None:
-  tracker = runner.ReturnTracker(2)
-  tracker.update(_results((0, 0, 0.4, 0), (0, 1, 0.8, 0), (0, 0, 0.6, 3)))
-  tracker.update(_results((1, 1, 0.2, 1)))
-  np.testing.assert_allclose(tracker.returns, [[0.5, 0.8], [0.0, 0.2]])
-  np.testing.assert_allclose(tracker.survival, [[0.5, 1.0], [0.0, 0.0]])
-  np.testing.assert_array_equal(tracker.seen, [[2, 1], [0, 1]])
-  found = tracker.summary(('a', 'b'))
-  expected = {
-    'mra_modes': 0.35,
-    'mra_transitions': 1.5 / 4,
-    'survival': 1.5 / 4,
-    'worst_transition': 0.0,
-    'return/a': 0.5,
-    'return/b': 0.2,
-    'return/a->b': 0.8,
-    'return/b->a': 0.0,
-    'survival/a': 0.5,
-    'survival/b': 0.0,
-    'survival/a->b': 1.0,
-    'survival/b->a': 0.0,
-  }
-  assert found == pytest.approx(expected)
-
-
-def test_tracker_forgets() -> None:
-  tracker = runner.ReturnTracker(1)
-  for _ in range(50):
-    tracker.update(_results((0, 0, 1.0, 1)))
-  tracker.update(_results((0, 0, 0.0, 0)))
-  assert tracker.returns[0, 0] == pytest.approx(0.98)
-  assert tracker.survival[0, 0] == pytest.approx(0.02)
-
-
 # The loop.
 
 
 def _toy_loop() -> runner.TrainingLoop:
-  """16 control steps an iteration."""
+  """16 environment steps an iteration."""
   environment = toy.TargetEnvironment(
     4, lambda seen: seen[:, :1], lambda rng, count: rng.uniform(size=(count, 2))
   )
-  parts = builder.PPOBuilder(_PPO, seed=0)
-  network = parts.make_networks(
-    environment.observation_spec(), environment.action_spec()
-  )
-  return runner.TrainingLoop(
-    environment,
-    parts.make_actor(network),
-    parts.make_learner(network),
-    _PPO.rollout_length,
-    ('reach',),
-    lambda: {'p/reach': 1.0},
-  )
+  return toy.loop(environment, _PPO)
 
 
 def _run(

@@ -1,18 +1,22 @@
 """A batched environment in which PPO learns within a second."""
 
-import dataclasses
 from typing import Callable, Mapping, NamedTuple
 
 from dm_env import specs
 import numpy as np
 
+from dmc_multimode.agents import core
+from dmc_multimode.agents import runner
+from dmc_multimode.agents.ppo import builder
+from dmc_multimode.agents.ppo import config as ppo_config
+from dmc_multimode.agents.ppo import networks
+
 Target = Callable[[np.ndarray], np.ndarray]
 Draw = Callable[[np.random.RandomState, int], np.ndarray]
 
 
-@dataclasses.dataclass
-class Results:
-  """See `environment.EpisodeResults`."""
+class Results(NamedTuple):
+  """See `core.EpisodeResults`."""
 
   worlds: np.ndarray
   initial: np.ndarray
@@ -23,7 +27,7 @@ class Results:
 
 
 class TimeStep(NamedTuple):
-  """See `environment.BatchedTimeStep`."""
+  """See `core.BatchedTimeStep`."""
 
   reward: np.ndarray
   discount: np.ndarray
@@ -42,10 +46,15 @@ class TargetEnvironment:
   invalid_cause = 4
 
   def __init__(
-    self, num_worlds: int, target: Target, draw: Draw, seed: int = 0
+    self,
+    num_worlds: int,
+    target: Target,
+    draw: Draw,
+    seed: int = 0,
+    replicas: int = 1,
   ):
     """Draws observations [B, D] by `draw`; `target` maps them to [B, A]."""
-    self.num_worlds = num_worlds
+    self.num_worlds, self._replicas, self.steps = num_worlds, replicas, 0
     self._target, self._draw = target, draw
     self._random_state = np.random.RandomState(seed)
     self._observation = self.reset()
@@ -63,11 +72,12 @@ class TargetEnvironment:
     return self._observation
 
   def step(self, actions: np.ndarray) -> TimeStep:
+    self.steps += self.num_worlds * self._replicas
     seen = self._observation
     reward = -np.sum((actions - self._target(seen)) ** 2, axis=-1)
     every, zeros = np.arange(self.num_worlds), np.zeros(self.num_worlds, int)
     ones = np.ones(self.num_worlds)
-    results = Results(every, zeros, zeros, reward, zeros + 1, zeros)
+    results = Results(every, zeros.copy(), zeros, reward, zeros + 1, zeros)
     return TimeStep(reward, ones, ones > 0, self.reset(), seen, results)
 
   def learn(
@@ -80,8 +90,43 @@ class TargetEnvironment:
     pass
 
   def state(self) -> dict[str, np.ndarray]:
-    return {'observation': self._observation.copy()}
+    return {
+      'observation': self._observation.copy(),
+      'total_steps': np.array(self.steps),
+    }
 
   def restore(self, state: Mapping[str, np.ndarray]) -> np.ndarray:
+    self.steps = int(state['total_steps'])
     self._observation = state['observation'].copy()
     return self._observation
+
+  def description(
+    self,
+    symmetry: core.Symmetry | None = None,
+    mode_of: core.ModeOf | None = None,
+  ) -> core.EnvironmentDescription:
+    return core.EnvironmentDescription(
+      self.observation_spec(),
+      self.action_spec(),
+      symmetry=symmetry,
+      mode_of=mode_of,
+    )
+
+
+def loop(
+  environment: TargetEnvironment,
+  config: ppo_config.PPOConfig,
+  symmetry: core.Symmetry | None = None,
+  network: networks.ActorCritic | None = None,
+) -> runner.TrainingLoop:
+  """Trains in these worlds, in one mode."""
+  parts = builder.PPOBuilder(config, environment.description(symmetry), seed=0)
+  network = network or parts.make_networks()
+  return runner.TrainingLoop(
+    environment,
+    parts.make_actor(network),
+    parts.make_learner(network),
+    config.rollout_length,
+    ('reach',),
+    lambda: {'p/reach': 1.0},
+  )

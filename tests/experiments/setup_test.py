@@ -66,7 +66,7 @@ def test_every_kind_of_learner_learns(symmetry: str, advantages: str) -> None:
   weight = networks.linears_of(run.network.policy)[0].weight
   before = weight.detach().clone()
   run.loop._collect()
-  metrics = run.loop._learner.step(run.loop._buffers)
+  metrics = run.loop._learner.step(run.loop._buffers, 0)
   assert all(np.isfinite(value) for value in metrics.values())
   assert not torch.equal(weight, before)
 

@@ -26,35 +26,37 @@ class BatchedActor:
     self._generator = torch.Generator().manual_seed(seed)
     self._config = config or ppo_config.PPOConfig()
     self._threads = threads or pair.Pair()
-    self._quiet = torch.zeros(0, dtype=torch.bool)
+    self._deterministic = torch.zeros(0, dtype=torch.bool)
 
   @torch.no_grad()
   def sample(
     self, observation: torch.Tensor, steps: int = 0
   ) -> networks.Sample:
-    """Explores, but where a world is quiet; all is on the CPU.
+    """Explores, but in deterministic worlds; all is on the CPU.
 
     Args:
       observation: float32 [B, D].
-      steps: control steps that all worlds of the training have made.
+      steps: environment steps of the training, summed over all worlds.
     """
     std = self._network.std.cpu()
     mean = self._act(observation)
     noise = torch.empty_like(mean).normal_(generator=self._generator)
     if self._config.quiet_share and steps >= self._config.quiet_start:
-      self._change_quiet(len(mean))
-      noise[self._quiet] = 0.0
+      self._change_deterministic(len(mean))
+      noise[self._deterministic] = 0.0
     action = mean + std * noise
     return networks.Sample(action, networks.log_prob(action, mean, std), mean)
 
-  def _change_quiet(self, num_worlds: int) -> None:
-    """Lets some worlds fall quiet, and others explore again."""
-    if len(self._quiet) != num_worlds:
-      self._quiet = torch.zeros(num_worlds, dtype=torch.bool)
+  def _change_deterministic(self, num_worlds: int) -> None:
+    """Lets some worlds act deterministically, and others explore again."""
+    if len(self._deterministic) != num_worlds:
+      self._deterministic = torch.zeros(num_worlds, dtype=torch.bool)
     share, end = self._config.quiet_share, 1 / self._config.quiet_steps
     begin = end * share / (1 - share)
     drawn = torch.rand(num_worlds, generator=self._generator)
-    self._quiet = torch.where(self._quiet, drawn >= end, drawn < begin)
+    self._deterministic = torch.where(
+      self._deterministic, drawn >= end, drawn < begin
+    )
 
   @torch.no_grad()
   def select_action(self, observation: np.ndarray) -> np.ndarray:
@@ -67,16 +69,17 @@ class BatchedActor:
     return self._threads.map_rows(self._network.act, rows).cpu()
 
   def state(self) -> dict[str, torch.Tensor]:
-    """Returns the exploration's generator, and which worlds are quiet."""
+    """Returns the generator, and which worlds are deterministic."""
     state = {'generator': self._generator.get_state()}
     if self._config.quiet_share:
-      state['quiet'] = self._quiet.clone()
+      # A name of the files, which once was the thing's.
+      state['quiet'] = self._deterministic.clone()
     return state
 
   def restore(self, state: Mapping[str, torch.Tensor]) -> None:
-    """Takes over a `state`."""
+    """Restores a `state`."""
     self._generator.set_state(state['generator'])
-    self._quiet = state.get('quiet', self._quiet)
+    self._deterministic = state.get('quiet', self._deterministic)
 
 
 class FeedForwardActor:

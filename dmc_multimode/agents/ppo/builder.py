@@ -2,10 +2,10 @@
 
 from typing import Mapping
 
-from dm_env import specs
-import numpy as np
 import torch
+from torch import nn
 
+from dmc_multimode.agents import core
 from dmc_multimode.agents import distributed
 from dmc_multimode.agents import pair
 from dmc_multimode.agents.ppo import acting
@@ -13,15 +13,15 @@ from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.agents.ppo import kickstarting
 from dmc_multimode.agents.ppo import learning
 from dmc_multimode.agents.ppo import networks
-from dmc_multimode.agents.ppo import symmetry
 
 
 class PPOBuilder:
-  """Makes networks, learner and actors for one configuration and seed."""
+  """Makes networks, learner and actors for one environment and seed."""
 
   def __init__(
     self,
     config: ppo_config.PPOConfig,
+    environment: core.EnvironmentDescription,
     seed: int,
     communicator: distributed.Communicator = distributed.LOCAL,
     device: torch.device | str = 'cpu',
@@ -31,6 +31,7 @@ class PPOBuilder:
 
     Args:
       config: hyperparameters.
+      environment: in which the agent acts.
       seed: all randomness of the agent derives from it, and that of minibatches
         and exploration from the rank too.
       communicator: connects the ranks.
@@ -39,37 +40,36 @@ class PPOBuilder:
         not depend on it.
     """
     self._config, self._seed = config, seed
+    self._environment = environment
     self._communicator, self._device = communicator, device
     self._threads = pair.Pair(parallel)
     self._own_seed = distributed.rank_seed(seed, communicator.rank)
 
   def make_networks(
     self,
-    observation_spec: specs.Array,
-    action_spec: specs.Array,
-    initial_action: np.ndarray | None = None,
-    privileged_size: int = 0,
     weights: Mapping[str, torch.Tensor] | None = None,
+    policy: nn.Module | None = None,
+    value: nn.Module | None = None,
   ) -> networks.ActorCritic:
-    """Returns networks for these specs, freshly initialised or with `weights`.
+    """Returns networks, freshly initialised or with `weights`.
 
     Args:
-      observation_spec: one world's observation, with what is privileged, [D].
-      action_spec: one world's action, [A].
-      initial_action: what the policy does before it learns, [A].
-      privileged_size: how many of the last numbers only the value sees.
       weights: of such networks, for all ranks; only those of rank 0 matter.
+      policy, value: see `networks.ActorCritic`.
     """
+    about = self._environment
     with torch.random.fork_rng(devices=[]):
       torch.manual_seed(self._seed)
       network = networks.ActorCritic(
-        observation_spec.shape[0] - privileged_size,
-        action_spec.shape[0],
+        about.observation_spec.shape[0] - about.privileged_size,
+        about.action_spec.shape[0],
         self._config.hidden_sizes,
         self._config.initial_std,
-        initial_action,
-        privileged_size,
+        about.standing_action,
+        about.privileged_size,
         self._config.activation,
+        policy,
+        value,
       ).to(self._device)
     if weights is not None:
       network.load_state_dict(weights)
@@ -80,20 +80,18 @@ class PPOBuilder:
   def make_learner(
     self,
     network: networks.ActorCritic,
-    mirror: symmetry.Mirror | None = None,
-    commands: symmetry.Commands | None = None,
-    anchor: kickstarting.Anchor | None = None,
+    reference: kickstarting.ReferencePolicy | None = None,
   ) -> learning.PPOLearner:
     """Returns a learner that updates `network` in place; see `PPOLearner`."""
     return learning.PPOLearner(
       network,
       self._config,
       self._own_seed + 1,
-      mirror,
-      commands,
+      self._environment.symmetry,
+      self._environment.mode_of,
       self._threads,
       self._communicator,
-      anchor,
+      reference,
     )
 
   def make_actor(self, network: networks.ActorCritic) -> acting.BatchedActor:

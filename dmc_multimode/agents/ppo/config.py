@@ -54,6 +54,8 @@ class PPOConfig:
       began with, if with any, in the modes that this one knows.
     advantages: normalised over 'all' samples, or over those of each 'mode', so
       that no mode's advantages outweigh the others'.
+    compile: fits networks by `torch.compile`, which takes a C++ compiler, and
+      most of a minute at the start; results round another way.
   """
 
   hidden_sizes: tuple[int, ...] = (256, 128)
@@ -83,6 +85,7 @@ class PPOConfig:
   privileged_critic: bool = True
   advantages: str = 'all'
   anchor_weight: float = 0.0
+  compile: bool = False
 
   def __post_init__(self) -> None:
     positive = (

@@ -11,29 +11,29 @@ from typing import Sequence
 
 import torch
 
+from dmc_multimode.agents import core
 from dmc_multimode.agents.ppo import networks
-from dmc_multimode.agents.ppo import symmetry
 
 
-class Anchor:
-  """A policy as it is now, and the modes in which another is to stay near."""
+class ReferencePolicy:
+  """A policy as it is now, near which another is to stay in some modes."""
 
   def __init__(
     self,
     network: networks.ActorCritic,
-    commands: symmetry.Commands,
-    kept: Sequence[bool],
+    mode_of: core.ModeOf,
+    known: Sequence[bool],
   ):
     """Copies a policy.
 
     Args:
       network: the policy; what it becomes does not matter.
-      commands: tells modes by observations.
-      kept: whether the policy knows each mode, [M].
+      mode_of: tells modes by raw observations.
+      known: whether the policy knows each mode, [M].
     """
     self._network = copy.deepcopy(network).requires_grad_(False)
-    self._commands = commands
-    self._kept = torch.tensor(kept, device=network.log_std.device)
+    self._mode_of = mode_of
+    self._known = torch.tensor(known, device=network.log_std.device)
 
   @torch.no_grad()
   def means(self, observations: torch.Tensor) -> torch.Tensor:
@@ -42,21 +42,24 @@ class Anchor:
     They are NaN where the mode is none that it knows.
     """
     means = self._network.act(observations)
-    known = self._kept[self._commands.modes(observations)]
+    known = self._known[self._mode_of(observations)]
     return torch.where(known[:, None], means, torch.nan)
 
 
 def divergence(
-  mean: torch.Tensor, std: torch.Tensor, anchors: torch.Tensor
+  mean: torch.Tensor, std: torch.Tensor, reference: torch.Tensor
 ) -> torch.Tensor:
-  """Mean KL divergence of Gaussians from those around other means, nats.
+  """Mean KL divergence of Gaussians from those around reference means, nats.
+
+  KL = |mean - reference|^2 / (2 std^2), summed over actions, of Gaussians of
+  one deviation.
 
   Args:
     mean: [N, A].
     std: of all of them, [A].
-    anchors: the other means, NaN where any mean will do, [N, A].
+    reference: the reference means, NaN where any mean will do, [N, A].
   """
   # A NaN must not come near a gradient, not even with a factor of 0.
-  anchors = torch.where(anchors.isnan(), mean.detach(), anchors)
-  distances = 0.5 * ((mean - anchors) / std.detach()).square().sum(dim=-1)
+  reference = torch.where(reference.isnan(), mean.detach(), reference)
+  distances = 0.5 * ((mean - reference) / std.detach()).square().sum(dim=-1)
   return distances.mean()

@@ -73,9 +73,17 @@ def mlp(sizes: tuple[int, ...], activation: str = 'elu') -> nn.Sequential:
   return nn.Sequential(*layers)
 
 
-def linears_of(network: nn.Sequential) -> list[nn.Linear]:
-  """Returns the linear layers of a perceptron, in order."""
-  return [module for module in network if isinstance(module, nn.Linear)]
+def linears_of(network: nn.Module) -> list[nn.Linear]:
+  """Returns the linear layers of a network, in order."""
+  return [m for m in network.modules() if isinstance(m, nn.Linear)]
+
+
+def _initialise(network: nn.Sequential, gain: float) -> None:
+  """Makes weights orthogonal, those of the last layer with `gain`."""
+  *hidden, output = linears_of(network)
+  for linear in (*hidden, output):
+    nn.init.orthogonal_(linear.weight, gain if linear is output else 2**0.5)
+    nn.init.zeros_(linear.bias)
 
 
 class ActorCritic(nn.Module):
@@ -94,6 +102,8 @@ class ActorCritic(nn.Module):
     initial_action: np.ndarray | None = None,
     privileged_size: int = 0,
     activation: str = 'elu',
+    policy: nn.Module | None = None,
+    value: nn.Module | None = None,
   ):
     """Initialises orthogonally; the first actions are close to one point.
 
@@ -105,29 +115,28 @@ class ActorCritic(nn.Module):
       initial_action: what the policy does before it learns, [A]; zero if None.
       privileged_size: P, how much more the value sees.
       activation: of the hidden layers, a name in `ACTIVATIONS`.
+      policy: any module from normalised observations [N, D] to mean actions
+        [N, A]; a multi-layer perceptron, here initialised, if None.
+      value: likewise, from [N, D + P] to [N, 1]; shares nothing with `policy`.
     """
     super().__init__()
     self.observation_size = observation_size
     self.privileged_size = privileged_size
     self.normaliser = Normaliser(observation_size + privileged_size)
     self.activation = activation
-    self.policy = mlp(
-      (observation_size, *hidden_sizes, action_size), activation
+    mlps = (
+      mlp((observation_size, *hidden_sizes, action_size), activation),
+      mlp((observation_size + privileged_size, *hidden_sizes, 1), activation),
     )
-    self.value = mlp(
-      (observation_size + privileged_size, *hidden_sizes, 1), activation
-    )
+    self.policy = policy or mlps[0]
+    self.value = value or mlps[1]
     self.log_std = nn.Parameter(
       torch.full((action_size,), float(np.log(initial_std)))
     )
-    for network, gain in ((self.policy, 0.01), (self.value, 1.0)):
-      linears = linears_of(network)
-      for linear in linears:
-        last = linear is linears[-1]
-        nn.init.orthogonal_(linear.weight, gain if last else 2**0.5)
-        nn.init.zeros_(linear.bias)
+    for network, gain in zip(mlps, (0.01, 1.0), strict=True):
+      _initialise(network, gain)
     if initial_action is not None:
-      output = linears_of(self.policy)[-1]
+      output = linears_of(mlps[0])[-1]
       output.bias.data.copy_(torch.as_tensor(initial_action))
 
   @property

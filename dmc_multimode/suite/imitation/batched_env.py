@@ -176,6 +176,11 @@ class BatchedImitation:
     return task_symmetry.mirror_image(self.mode_set, self.privileged_size > 0)
 
   @property
+  def steps(self) -> int:
+    """Environment steps so far, summed over all worlds of all replicas."""
+    return self._total_steps
+
+  @property
   def control_timestep(self) -> float:
     """Seconds between actions."""
     return self.config.control_timestep

@@ -1,8 +1,7 @@
-"""Tests of dmc_multimode.agents.ppo.anchoring, and of what follows it."""
+"""Tests of dmc_multimode.agents.ppo.kickstarting."""
 
 import dataclasses
 
-import numpy as np
 import pytest
 import torch
 
@@ -10,12 +9,12 @@ from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.agents.ppo import kickstarting
 from dmc_multimode.agents.ppo import learning
 from dmc_multimode.agents.ppo import networks
-from dmc_multimode.agents.ppo import symmetry
+from dmc_multimode.agents.ppo import rollouts
 
 pytestmark = pytest.mark.usefixtures('one_thread')
 
 _T, _B, _D, _A = 8, 32, 6, 2
-_LATENTS = np.array([[0.0, 0.0], [2.0, 2.0]], dtype=np.float32)
+_LATENTS = torch.tensor([[0.0, 0.0], [2.0, 2.0]])
 _CONFIG = ppo_config.PPOConfig(
   hidden_sizes=(16,), epochs=4, learning_rate=3e-3, target_kl=0.0
 )
@@ -29,21 +28,25 @@ def _network() -> networks.ActorCritic:
   return network
 
 
+def _mode_of(raw: torch.Tensor) -> torch.Tensor:
+  return (raw[:, 2] > 1).long()
+
+
 def _observations(*shape: int) -> torch.Tensor:
   """Random ones, of which every other commands the second mode."""
   generator = torch.Generator().manual_seed(1)
   seen = torch.randn(*shape, _D, generator=generator)
   modes = torch.arange(shape[-1]) % 2
-  seen[..., 2:4] = torch.from_numpy(_LATENTS)[modes]
+  seen[..., 2:4] = _LATENTS[modes]
   return seen
 
 
 def test_divergence_by_hand() -> None:
   mean = torch.tensor([[1.0, 2.0], [5.0, 5.0]])
   std = torch.tensor([0.5, 1.0])
-  anchors = torch.tensor([[0.0, 0.0], [torch.nan, torch.nan]])
+  reference = torch.tensor([[0.0, 0.0], [torch.nan, torch.nan]])
   # 0.5 (2^2 + 2^2) for the first, nothing for the second.
-  assert kickstarting.divergence(mean, std, anchors).item() == pytest.approx(
+  assert kickstarting.divergence(mean, std, reference).item() == pytest.approx(
     2.0
   )
 
@@ -51,23 +54,22 @@ def test_divergence_by_hand() -> None:
 def test_gradient_where_any_mean_will_do() -> None:
   mean = torch.tensor([[1.0], [5.0]], requires_grad=True)
   std = torch.tensor([0.5], requires_grad=True)
-  anchors = torch.tensor([[0.0], [torch.nan]])
-  kickstarting.divergence(mean, std, anchors).backward()
+  reference = torch.tensor([[0.0], [torch.nan]])
+  kickstarting.divergence(mean, std, reference).backward()
   assert mean.grad is not None
   assert mean.grad.tolist() == [[2.0], [0.0]]  # 1 / 0.5^2 / 2 samples.
   assert std.grad is None  # More noise is no way to be nearer.
 
 
-def test_anchor_knows_some_modes_and_stays_what_it_is() -> None:
+def test_reference_knows_some_modes_and_stays_what_it_is() -> None:
   network = _network()
-  commands = symmetry.Commands(_LATENTS)
-  anchor = kickstarting.Anchor(network, commands, [True, False])
+  reference = kickstarting.ReferencePolicy(network, _mode_of, [True, False])
   seen = _observations(8)
   expected = network.act(seen).detach()
   with torch.no_grad():
     for parameter in network.parameters():
       parameter.zero_()
-  found = anchor.means(seen)
+  found = reference.means(seen)
   torch.testing.assert_close(found[::2], expected[::2])
   assert found[1::2].isnan().all()
 
@@ -77,37 +79,35 @@ def test_known_mode_is_held_and_the_other_is_learned(weight: float) -> None:
   """The reward is for actions of 1, whatever is commanded."""
   network = _network()
   config = dataclasses.replace(_CONFIG, anchor_weight=weight)
-  commands = symmetry.Commands(_LATENTS)
   learner = learning.PPOLearner(
     network,
     config,
     seed=0,
-    commands=commands,
-    anchor=kickstarting.Anchor(network, commands, [True, False]),
+    reference=kickstarting.ReferencePolicy(network, _mode_of, [True, False]),
   )
   seen = _observations(_T, _B)
   before = network.act(seen).detach()
   for seed in range(30):
-    metrics = learner.step(_rollouts(network, seen, seed))
+    metrics = learner.step(_rollouts(network, seen, seed), 0)
   moved = (network.act(seen).detach() - before).abs().mean(dim=(0, 2))
   assert moved[1::2].mean() > 0.2
   if weight:
     assert moved[::2].mean() < 0.1
-    assert 0 < metrics['loss/anchor'] < 1
+    assert 0 < metrics['loss/kickstarting'] < 1
   else:
     assert moved[::2].mean() > 0.2
 
 
 def _rollouts(
   network: networks.ActorCritic, seen: torch.Tensor, seed: int
-) -> learning.Rollouts:
+) -> rollouts.Rollouts:
   generator = torch.Generator().manual_seed(seed)
   with torch.no_grad():
     means = network.act(seen)
     noise = torch.randn(means.shape, generator=generator)
     actions = means + network.std * noise
     log_probs = networks.log_prob(actions, means, network.std)
-  return learning.Rollouts(
+  return rollouts.Rollouts(
     seen,
     actions,
     log_probs,
@@ -119,11 +119,11 @@ def _rollouts(
   )
 
 
-def test_no_anchor_no_metric() -> None:
+def test_no_reference_no_metric() -> None:
   network = _network()
   learner = learning.PPOLearner(network, _CONFIG, seed=0)
-  metrics = learner.step(_rollouts(network, _observations(_T, _B), 0))
-  assert 'loss/anchor' not in metrics
+  metrics = learner.step(_rollouts(network, _observations(_T, _B), 0), 0)
+  assert 'loss/kickstarting' not in metrics
 
 
 def test_weight_must_not_be_negative() -> None:

@@ -1,4 +1,4 @@
-"""Gradient descent on parameters that are learned together."""
+"""Gradient descent of parameters that several ranks learn together."""
 
 import math
 from typing import Mapping
@@ -10,8 +10,8 @@ from dmc_multimode.agents import distributed
 from dmc_multimode.agents.ppo import config as ppo_config
 
 
-class Descent:
-  """Parameters, and the optimiser that moves them, alike at all ranks."""
+class Optimiser:
+  """Adam with clipped gradients, alike at all ranks."""
 
   def __init__(
     self,
@@ -19,21 +19,21 @@ class Descent:
     config: ppo_config.PPOConfig,
     communicator: distributed.Communicator = distributed.LOCAL,
   ):
-    """Creates the optimiser.
+    """Takes charge of parameters.
 
     Args:
       parameters: what is learned, on one device.
       config: hyperparameters.
-      communicator: for the thread that calls `descend`, and for it alone.
+      communicator: for the thread that calls `step`, and for it alone.
     """
     self._parameters = parameters
     self._max_norm = config.max_gradient_norm
     self._communicator = communicator
-    self._optimiser = torch.optim.Adam(
+    self._adam = torch.optim.Adam(
       parameters, lr=config.learning_rate, eps=1e-5, fused=True
     )
 
-  def descend(self, loss: torch.Tensor) -> torch.Tensor:
+  def step(self, loss: torch.Tensor) -> torch.Tensor:
     """Takes one step along the gradient of the mean loss of all ranks.
 
     Returns:
@@ -42,7 +42,7 @@ class Descent:
     Raises:
       FloatingPointError: it is not finite, of which all ranks learn.
     """
-    self._optimiser.zero_grad(set_to_none=True)
+    self._adam.zero_grad(set_to_none=True)
     loss.backward()
     self._communicator.average(
       [p.grad for p in self._parameters if p.grad is not None]
@@ -53,12 +53,12 @@ class Descent:
         'A gradient is not finite; the last checkpoint is unharmed: resume '
         'from it, with a lower learning rate if it recurs.'
       )
-    self._optimiser.step()
+    self._adam.step()
     return norm
 
   def set_learning_rate(self, value: float) -> None:
     """Decides how far the next steps go."""
-    for group in self._optimiser.param_groups:
+    for group in self._adam.param_groups:
       group['lr'] = value
 
   def state(self) -> dict[str, torch.Tensor]:
@@ -66,12 +66,12 @@ class Descent:
     return {
       f'{i}/{key}': value
       for i, parameter in enumerate(self._parameters)
-      for key, value in self._optimiser.state.get(parameter, {}).items()
+      for key, value in self._adam.state.get(parameter, {}).items()
     }
 
   def restore(self, state: Mapping[str, torch.Tensor]) -> None:
-    """Takes over a `state`; raises ValueError for one of other parameters."""
-    self._optimiser.state.clear()
+    """Restores a `state`; raises ValueError for one of other parameters."""
+    self._adam.state.clear()
     for name, value in state.items():
       number, _, key = name.partition('/')
       parameter = self._parameters[int(number)]
@@ -80,5 +80,5 @@ class Descent:
           f'The checkpoint has a {key} of shape {list(value.shape)} for '
           f'parameters of shape {list(parameter.shape)}.'
         )
-      moments = self._optimiser.state[parameter]
+      moments = self._adam.state[parameter]
       moments[key] = value.to(parameter.device, copy=True)

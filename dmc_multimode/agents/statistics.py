@@ -1,0 +1,140 @@
+"""What a training keeps of the episodes that have ended."""
+
+from typing import Mapping, NamedTuple
+
+import numpy as np
+import torch
+
+from dmc_multimode.agents import core
+from dmc_multimode.agents import distributed
+
+_MOST_DIVERGED = 0.001  # Share of environment steps.
+_WINDOW = 20_000  # Environment steps, at least, of which that is the share.
+
+
+class Episodes(NamedTuple):
+  """See `core.Outcomes`."""
+
+  initial: np.ndarray
+  final: np.ndarray
+  returns: np.ndarray
+  causes: np.ndarray
+
+
+class EpisodeTable:
+  """Collects the episodes that end during one rollout."""
+
+  def __init__(self) -> None:
+    """Starts empty."""
+    self._rows: list[np.ndarray] = []
+
+  def add(self, time: int, results: core.Outcomes) -> None:
+    """Takes in the episodes that ended at a time step of the rollout."""
+    times = np.full(len(results.initial), time)
+    columns = (results.initial, results.final, results.causes, results.returns)
+    self._rows.append(np.stack((times, *columns), axis=1).astype(np.float64))
+
+  def gather(self, communicator: distributed.Communicator) -> Episodes:
+    """Returns the episodes of all ranks, as if one rank had all worlds.
+
+    They are in the order of time first, then of ranks, then of worlds.
+    """
+    mine = torch.from_numpy(np.concatenate(self._rows))
+    table = communicator.gather(mine).numpy()
+    table = table[np.argsort(table[:, 0], kind='stable')]
+    initial, final, causes = table[:, 1:4].T.astype(np.int64)
+    return Episodes(initial, final, table[:, 4], causes)
+
+
+class ReturnTracker:
+  """Running means of normalised return and survival, per transition."""
+
+  _MEMORY = 0.98  # A mean follows about the last 50 episodes.
+  _FIELDS = ('returns', 'survival', 'seen')
+
+  def __init__(self, num_modes: int):
+    """Starts at zero, with nothing seen."""
+    self.returns = np.zeros((num_modes, num_modes))
+    self.survival = np.zeros((num_modes, num_modes))
+    self.seen = np.zeros((num_modes, num_modes))
+
+  def update(self, results: core.Outcomes) -> None:
+    """Takes in finished episodes, in order."""
+    for i, f, value, cause in zip(
+      results.initial,
+      results.final,
+      results.returns,
+      results.causes,
+      strict=True,
+    ):
+      self.seen[i, f] += 1
+      rate = max(1 - self._MEMORY, 1 / self.seen[i, f])
+      self.returns[i, f] += rate * (value - self.returns[i, f])
+      self.survival[i, f] += rate * ((cause == 0) - self.survival[i, f])
+
+  def summary(self, names: tuple[str, ...]) -> dict[str, float]:
+    """Returns MRA, survival, and both per mode and transition."""
+    diagonal = np.diagonal(self.returns)
+    result = {
+      'mra_modes': float(diagonal.mean()),
+      'mra_transitions': float(self.returns.mean()),
+      'survival': float(self.survival.mean()),
+      'worst_transition': float(self.returns.min()),
+    }
+    for i, name in enumerate(names):
+      result[f'return/{name}'] = float(self.returns[i, i])
+      result[f'survival/{name}'] = float(self.survival[i, i])
+    for i, first in enumerate(names):
+      for f, second in enumerate(names):
+        if i != f:
+          key = f'{first}->{second}'
+          result[f'return/{key}'] = float(self.returns[i, f])
+          result[f'survival/{key}'] = float(self.survival[i, f])
+    return result
+
+  def state(self) -> dict[str, np.ndarray]:
+    """Returns copies of everything that `restore` needs."""
+    return {name: getattr(self, name).copy() for name in self._FIELDS}
+
+  def restore(self, state: Mapping[str, torch.Tensor]) -> None:
+    """Restores a `state`."""
+    for name in self._FIELDS:
+      getattr(self, name)[:] = state[name].numpy()
+
+
+class DivergenceCounter:
+  """Counts the worlds whose physics diverged, which begin anew by themselves.
+
+  Attributes:
+    total: how many did, by now.
+  """
+
+  def __init__(self) -> None:
+    """Starts at zero."""
+    self.restore(0)
+
+  def restore(self, total: int) -> None:
+    """Goes on from `total`, in a new window."""
+    self.total = total
+    self._window = np.zeros(2, dtype=np.int64)  # Worlds that diverged, steps.
+
+  def update(self, diverged: int, steps: int) -> None:
+    """Counts worlds that diverged in so many environment steps.
+
+    Raises:
+      FloatingPointError: there are too many: more than `_MOST_DIVERGED` of the
+        steps since the last window ended, which it does as soon as it has
+        `_WINDOW` steps, or of a whole one before it has.
+    """
+    self.total += diverged
+    self._window += diverged, steps
+    count, length = self._window.tolist()
+    if count > _MOST_DIVERGED * max(length, _WINDOW):
+      raise FloatingPointError(
+        f'The physics of {count} worlds diverged in {length:,} environment '
+        f'steps; {_MOST_DIVERGED:.1%} of {max(length, _WINDOW):,} is the most. '
+        'The last checkpoint is unharmed: resume from it; if it recurs, start '
+        'anew with a shorter physics_timestep or a lower learning rate.'
+      )
+    if length >= _WINDOW:
+      self._window[:] = 0
