@@ -1,7 +1,8 @@
 """Pages of the site that are written elsewhere: a hook of MkDocs.
 
-README.md and CONTRIBUTING.md lie outside of `docs`, and the reference comes
-from the docstrings: one page a part of the package, every module of it in turn.
+README.md, CONTRIBUTING.md and CHANGELOG.md lie outside of `docs`, and the
+reference comes from the docstrings: one page a part of the package, every
+module of it in turn.
 """
 
 # Of the extra `docs`: not always there to be checked against.
@@ -19,7 +20,7 @@ _REST = 'package'  # The page of modules that are in no part.
 _OUTSIDE = re.compile(r'\[([^\]]*)\]\(\.\./[^)]*\)')  # A link out of `docs`.
 # A link from the root to what is no page: CITATION.cff.
 _NO_PAGE = re.compile(
-  r'\[([^\]]*)\]\((?!docs/|https?:|#|CONTRIBUTING\.md)[^)]*\)'
+  r'\[([^\]]*)\]\((?!docs/|https?:|#|CONTRIBUTING\.md|CHANGELOG\.md)[^)]*\)'
 )
 
 
@@ -28,6 +29,7 @@ def on_files(files: Any, config: Any) -> Any:
   pages = {
     'index.md': _read('README.md'),
     'CONTRIBUTING.md': _read('CONTRIBUTING.md'),
+    'CHANGELOG.md': _read('CHANGELOG.md'),
     **{f'api/{part}.md': page for part, page in _reference().items()},
   }
   for name, content in pages.items():
