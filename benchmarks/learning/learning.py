@@ -33,7 +33,7 @@ from dmc_multimode.experiments import setup
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import batched_env
-from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.suite.imitation import events
 
 _MODES = flags.DEFINE_string('modes', 'pi2', 'A mode set, or modes.')
 _NUM_WORLDS = flags.DEFINE_integer(
@@ -130,7 +130,7 @@ def judge(learner: learners.Learner, config: setup.RunConfig) -> dict[str, Any]:
     learner.begin_episodes,
   )
   evaluator = _Evaluator(
-    candidate, task_config.for_evaluation(config.task), config.seed
+    candidate, dataclasses.replace(config.task, events=events.NONE), config.seed
   )
   return scoring.report(evaluator, _EPISODES, clock_rate=1.0)
 

@@ -8,7 +8,7 @@ import numpy as np
 from dmc_multimode import pretrained
 from dmc_multimode.evaluation import evaluator as scoring
 from dmc_multimode.modes import schedule as schedule_lib
-from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import terminations
 
 _SETTLED = 1.2  # Seconds after which heights count.
@@ -36,7 +36,7 @@ def profiles(
     ValueError: the policy does not know a mode.
   """
   config = dataclasses.replace(
-    task_config.for_evaluation(policy.config), limits=terminations.NO_LIMITS
+    policy.config, events=events.NONE, limits=terminations.NO_LIMITS
   )
   ids = np.repeat([policy.mode_set.index(name) for name in modes], episodes)
   evaluator = scoring.Evaluator(policy, config, seed, quiet=True)

@@ -9,6 +9,7 @@ succeeded when the robot stands on the block, on both feet, the trunk within 8
 cm of its height over it, for a second; see `evaluation.acceptance`.
 """
 
+import dataclasses
 import pathlib
 from typing import Any, Sequence
 
@@ -21,7 +22,7 @@ from dmc_multimode import pretrained
 from dmc_multimode.bin import app
 from dmc_multimode.evaluation import evaluator
 from dmc_multimode.evaluation import figures
-from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.suite.imitation import events
 from dmc_multimode.utils import files
 
 _POLICY = flags.DEFINE_string('policy', 'pi2', 'The multimodal policy.')
@@ -64,7 +65,7 @@ def main(argv: Sequence[str]) -> None:
   unimodal = [pretrained.load(name) for name in (_BEFORE.value, _AFTER.value)]
   switched = hard_switch.HardSwitch(unimodal)
   first, second = switched.mode_set.names
-  config = task_config.for_evaluation(multimodal.config)
+  config = dataclasses.replace(multimodal.config, events=events.NONE)
   policies: dict[str, evaluator.Policy] = {
     _POLICY.value: multimodal,
     f'{_BEFORE.value}, {_AFTER.value}': switched,

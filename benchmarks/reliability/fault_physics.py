@@ -30,6 +30,7 @@ from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import composer_task
 from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.suite.imitation import mujoco_worlds
 
 FULL, STANDING, POLICY = ACTIONS = ('full', 'standing', 'policy')
 USERS_TIMESTEP = 0.005  # Seconds; the default of the task.
@@ -93,7 +94,7 @@ def drop(timestep: float, seed: int, height: float = 0.5) -> Drop:
     seed: of its pose.
     height: over its crouch, metres.
   """
-  spec = batched_env.make_spec(_task('flat', timestep))
+  spec = mujoco_worlds.make_spec(_task('flat', timestep))
   ground = spec.geom('segment_0')
   ground.size = [20.0, *ground.size[1:]]
   model = spec.compile()
@@ -125,7 +126,7 @@ def _depths(
   bind: Any,
 ) -> np.ndarray:
   """Returns how deep the deepest corner of a foot is in a box, metres, [B]."""
-  halves = worlds.model.geom_size[feet]
+  halves = worlds.physics.model.geom_size[feet]
   offsets = _CORNERS[None] * halves[:, None]  # [2, 8, 3]
   rotation = bind['xmat'][:, feet].reshape(-1, len(feet), 3, 3)
   corners = np.einsum('bfij,fcj->bfci', rotation, offsets)
@@ -177,9 +178,11 @@ def random_actions(
   task = _task(arena, timestep)
   worlds = batched_env.BatchedImitation(task, num_worlds, seed, 1)
   names = {name: f'geom_{name}' for name in ('xpos', 'xmat')}
-  bind = {key: worlds.batch.bind(name) for key, name in names.items()}
-  force = worlds.batch.bind('actuator_force')
-  feet = [worlds.model.geom(f'walker/{s}_foot').id for s in ('left', 'right')]
+  bind = {key: worlds.physics.batch.bind(name) for key, name in names.items()}
+  force = worlds.physics.batch.bind('actuator_force')
+  feet = [
+    worlds.physics.model.geom(f'walker/{s}_foot').id for s in ('left', 'right')
+  ]
   act, seen = _actor(actions, worlds, seed), worlds.reset()
   torque, depths, episodes, diverged = 0.0, [], 0, 0
   for _ in range(-(-steps // num_worlds)):

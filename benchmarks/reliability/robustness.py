@@ -27,7 +27,7 @@ from dmc_multimode import pretrained
 from dmc_multimode.bin import app
 from dmc_multimode.evaluation import evaluator as scoring
 from dmc_multimode.modes import schedule as schedule_lib
-from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.suite.imitation import events
 
 _POLICY = flags.DEFINE_string(
   'policy', 'pi2', 'Name of a shipped policy, or a folder.'
@@ -49,7 +49,7 @@ class Evaluator(scoring.Evaluator):
     self, case: robustness_cases.Case, policy: pretrained.Policy, seed: int
   ):
     """Evaluates `policy` from rest."""
-    config = task_config.for_evaluation(policy.config)
+    config = dataclasses.replace(policy.config, events=events.NONE)
     if case.physics_timestep is not None:
       config = dataclasses.replace(
         config, physics_timestep=case.physics_timestep

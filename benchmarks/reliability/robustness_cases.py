@@ -13,6 +13,8 @@ from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes
+from dmc_multimode.suite.imitation import mujoco_worlds
+from dmc_multimode.utils import schedule as schedules
 
 _PUSH_PERIOD = 1.0  # Seconds.
 
@@ -79,17 +81,18 @@ class Worlds(batched_env.BatchedImitation):
       ),
       episodes.ScheduledEpisodes(schedule),
       config=dataclasses.replace(
-        config, obstacles=case.obstacles, obstacles_start=0
+        config,
+        events=dataclasses.replace(
+          config.events, obstacles=schedules.constant(case.obstacles)
+        ),
       ),
     )
-    super().__init__(task, len(schedule), seed, auto_reset=False)
-
-  def _set_up_physics(self, model: mujoco.MjModel, num_threads: int) -> None:
-    model.body_mass *= self._case.mass
-    model.body_inertia *= self._case.mass
-    model.geom_friction[:, 0] *= self._case.friction
+    model = mujoco_worlds.compile_model(task)
+    model.body_mass *= case.mass
+    model.body_inertia *= case.mass
+    model.geom_friction[:, 0] *= case.friction
     mujoco.mj_setConst(model, mujoco.MjData(model))
-    super()._set_up_physics(model, num_threads)
+    super().__init__(task, len(schedule), seed, auto_reset=False, model=model)
 
   def step(self, actions: np.ndarray) -> batched_env.BatchedTimeStep:
     """Pushes if it is time to, and steps."""

@@ -111,7 +111,7 @@ class _Worlds:
     self._actor = acting.BatchedActor(run.network, config.seed)
     standing = self.environment.standing_action()
     self._actions = _Actions(standing, config.seed)
-    self._ctrl = self.environment.batch.bind('ctrl')
+    self._ctrl = self.environment.physics.batch.bind('ctrl')
     self._observation = self.environment.reset()
     for _ in range(_BURN_IN):
       self.step(self.draw())
@@ -130,10 +130,10 @@ class _Worlds:
     """Steps raw, puts the states back, steps the environment; and so on."""
     spent, steps = {_RAW: 0.0, _BATCHED: 0.0}, 0
     while min(spent.values()) < seconds:
-      actions, rows = self.draw(), self.environment.batch.state.copy()
+      actions, rows = self.draw(), self.environment.physics.batch.state.copy()
       self._ctrl[:] = actions
       spent[_RAW] += _time(self._step_raw)
-      self.environment.batch.state[:] = rows
+      self.environment.physics.batch.state[:] = rows
       step = functools.partial(self.step, actions)
       spent[_BATCHED] += _time(step)
       steps += self.environment.num_worlds
@@ -145,7 +145,9 @@ class _Worlds:
 
   def _step_raw(self) -> None:
     with contextlib.suppress(mujoco_batch.SimulationError):
-      self.environment.batch.step(nstep=self.environment.config.substeps)
+      self.environment.physics.batch.step(
+        nstep=self.environment.config.substeps
+      )
 
   def close(self) -> None:
     """Has nothing to end."""

@@ -75,7 +75,7 @@ def _evaluate(no_videos: str, communicator: distributed.Communicator) -> None:
   # These import dm_control, which reads what draws.
   from dmc_multimode import pretrained
   from dmc_multimode.evaluation import evaluator as scoring
-  from dmc_multimode.suite.imitation import config as task_config
+  from dmc_multimode.suite.imitation import events
 
   if _EPISODES.value < 1:
     raise ValueError(f'--episodes must be positive, got {_EPISODES.value}.')
@@ -85,7 +85,7 @@ def _evaluate(no_videos: str, communicator: distributed.Communicator) -> None:
   folder = files.output_folder('figures', _FIGURES.value)
   policy = pretrained.load(_POLICY.value)
   encoder_seed = _encoder_seed(_POLICY.value)
-  config = task_config.for_evaluation(policy.config)
+  config = config_flags.replace(policy.config, events=events.NONE)
   if _TIMESTEP.value is not None:
     config = config_flags.replace(config, physics_timestep=_TIMESTEP.value)
   evaluator = scoring.Evaluator(

@@ -1,13 +1,18 @@
 """Flags generated from the fields of configuration dataclasses.
 
 A field `discount` of a class defined under the prefix 'ppo' becomes the flag
-`--ppo_discount`; the fields of a nested NamedTuple are flags of their own.
+`--ppo_discount`; the fields of a nested configuration are flags of their own. A
+schedule is a text, see `utils.schedule.parse`.
 """
 
 import dataclasses
 from typing import Any, Iterator
 
 from absl import flags
+import pydantic
+
+from dmc_multimode.utils import config as config_lib
+from dmc_multimode.utils import schedule
 
 FLAGS = flags.FLAGS
 
@@ -24,6 +29,8 @@ def define(config: Any, prefix: str) -> None:
       flags.DEFINE_float(name, default, text)
     elif isinstance(default, str):
       flags.DEFINE_string(name, default, text)
+    elif isinstance(default, schedule.Schedule):
+      flags.DEFINE_string(name, schedule.to_text(default), text)
     elif isinstance(default, tuple):
       flags.DEFINE_list(name, [str(item) for item in default], text)
     else:
@@ -40,12 +47,14 @@ def read(config: Any, prefix: str) -> Any:
   changes: dict[str, Any] = {}
   for field, value in _fields(config):
     name = f'{prefix}_{field}'
-    if _is_named_tuple(value):
+    if _is_nested(value):
       changes[field] = read(value, name)
     elif not FLAGS[name].present:
       continue
     elif isinstance(value, tuple):
       changes[field] = _integers(name)
+    elif isinstance(value, schedule.Schedule):
+      changes[field] = _schedule(name)
     else:
       changes[field] = FLAGS[name].value
   return replace(config, **changes)
@@ -60,7 +69,10 @@ def replace(config: Any, **changes: Any) -> Any:
   """Returns a dataclass or NamedTuple with some fields changed."""
   if _is_named_tuple(config):
     return config._replace(**changes)
-  return dataclasses.replace(config, **changes)
+  try:
+    return dataclasses.replace(config, **changes)
+  except pydantic.ValidationError as error:
+    raise ValueError(config_lib.describe(error)) from error
 
 
 def _integers(name: str) -> tuple[int, ...]:
@@ -68,6 +80,19 @@ def _integers(name: str) -> tuple[int, ...]:
     return tuple(int(item) for item in FLAGS[name].value or ())
   except ValueError as error:
     raise ValueError(f'--{name} needs integers: {error}') from error
+
+
+def _schedule(name: str) -> schedule.Schedule:
+  try:
+    return schedule.parse(str(FLAGS[name].value))
+  except ValueError as error:
+    raise ValueError(f'--{name}: {error}') from error
+
+
+def _is_nested(value: Any) -> bool:
+  if isinstance(value, schedule.Schedule):
+    return False
+  return dataclasses.is_dataclass(value) or _is_named_tuple(value)
 
 
 def _is_named_tuple(value: Any) -> bool:
@@ -86,7 +111,7 @@ def _leaves(config: Any, prefix: str) -> Iterator[tuple[str, Any]]:
   """Flag names and values of all fields, nested ones included."""
   for field, value in _fields(config):
     name = f'{prefix}_{field}'
-    if _is_named_tuple(value):
+    if _is_nested(value):
       yield from _leaves(value, name)
     else:
       yield name, value

@@ -20,7 +20,6 @@ from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes.encoder import extension
 from dmc_multimode.modes.encoder import training as encoder_training
 from dmc_multimode.pretrained import policy as policy_lib
-from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import privileged
 from dmc_multimode.utils import resources
 
@@ -92,7 +91,9 @@ class Start:
       init_modes=','.join(policy.mode_set.names),
       ppo=ppo,
       sampling=sampling,
-      task=settled(policy.config),
+      task=dataclasses.replace(
+        policy.config, events=policy.config.events.at_end()
+      ),
     )
 
   def new(self, motions: Motions) -> Motions:
@@ -213,25 +214,6 @@ def find_encoder(name: str) -> pathlib.Path:
   raise ValueError(
     f'{name} has no mode encoder beside it: name the folder of the one that it '
     'was trained with, --encoder=DIR.'
-  )
-
-
-def settled(config: task_config.ImitationConfig) -> task_config.ImitationConfig:
-  """Returns a task as it is when all that a training schedules has ended."""
-  bonus = config.contact_bonus
-  if config.contact_bonus_end:
-    bonus = config.late_contact_bonus
-  return dataclasses.replace(
-    config,
-    early_distance=config.limits.distance,
-    tighten_steps=0,
-    assist_steps=0,
-    contact_bonus=bonus,
-    late_contact_bonus=bonus,
-    contact_bonus_start=0,
-    contact_bonus_end=0,
-    obstacles_start=0,
-    push_start=0,
   )
 
 

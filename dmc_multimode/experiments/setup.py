@@ -23,8 +23,10 @@ from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes
+from dmc_multimode.suite.imitation import events as events_lib
 from dmc_multimode.suite.imitation import mode_sampler
 from dmc_multimode.utils import files
+from dmc_multimode.utils import schedule
 from dmc_multimode.utils import typed
 
 CONFIG_FILE = 'config.json'
@@ -68,7 +70,12 @@ class RunConfig:
   )
   sampling: mode_sampler.SamplingConfig = mode_sampler.SamplingConfig()
   task: task_config.ImitationConfig = task_config.ImitationConfig(
-    physics_timestep=0.01, tighten_steps=3_000_000, assist_steps=2_000_000
+    physics_timestep=0.01,
+    events=events_lib.TrainingEvents(
+      # Farther from the reference at first.
+      distance_slack=schedule.Schedule(0.15, 0.0, 0, 3_000_000),
+      assistance_steps=2_000_000,
+    ),
   )
 
   def __post_init__(self) -> None:
@@ -291,7 +298,10 @@ def _make_environment(
       mode_set, config.sampling, config.task.commands_from_ground
     ),
     track.make(
-      'flat', _OBSTACLE_SEGMENTS if config.task.obstacles else _FLAT_SEGMENTS
+      'flat',
+      _OBSTACLE_SEGMENTS
+      if config.task.events.most_obstacles
+      else _FLAT_SEGMENTS,
     ),
     config.task,
   )

@@ -179,7 +179,9 @@ class ReachingProblem:
     Raises:
       ValueError: it is of another task.
     """
-    self._worlds.adopt(other._worlds)
+    self._worlds.copy_state(
+      np.zeros(self._worlds.num_worlds, dtype=np.int64), other._worlds
+    )
     alive = np.repeat(other._alive[:1], self.num_worlds)
     self._start = _Start(self._worlds.state(), other._knot, alive)
     self.reset()
@@ -195,7 +197,7 @@ class ReachingProblem:
     Args:
       sources: index of the world that world i takes after, [B].
     """
-    self._observation = self._worlds.take(sources)
+    self._observation = self._worlds.copy_state(sources)
     self._alive = self._alive[sources]
 
   def run_knot(self, modes: np.ndarray) -> Progress:
@@ -222,7 +224,7 @@ class ReachingProblem:
     no longer finite. One whose state is so at once stays where it was.
     """
     if self._alive.any():
-      state = self._worlds.batch.state
+      state = self._worlds.physics.state
       before = state.copy()
       self._worlds.moving[:] = self._alive
       self.control_steps += int(self._alive.sum())

@@ -31,11 +31,14 @@ from dmc_multimode.walkers import mini_biped
 SUITE = containers.TaggedTasks()
 
 _DEFAULT_GAINS = rewards.RewardGains()
+_WITH_CONTACT = _DEFAULT_GAINS.with_weights(
+  position=0.35, orientation=0.35, contact=0.3
+)
 # Table I: only pi3 is rewarded for its contacts; pi_all has its walk and hop,
 # which differ in nothing else.
 REWARD_GAINS: Mapping[str, rewards.RewardGains] = {
-  'pi3': rewards.RewardGains(0.35, 0.35, 0.3),
-  'pi_all': rewards.RewardGains(0.35, 0.35, 0.3),
+  'pi3': _WITH_CONTACT,
+  'pi_all': _WITH_CONTACT,
 }
 
 

@@ -89,6 +89,12 @@ def parse(text: str) -> Schedule:
     ) from error
 
 
+def to_text(schedule: Schedule) -> str:
+  """Returns the text that `parse` reads, but for the interpolation."""
+  values = f'{schedule.first!r}:{schedule.last!r}'
+  return f'{values}@{schedule.start}:{schedule.end}'
+
+
 def _convert(value: Any) -> Any:
   """Takes a number, or a text as `parse` does, for a schedule."""
   if isinstance(value, str):

@@ -15,6 +15,7 @@ from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import composer_task
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes
+from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import terminations
 
 _SPEED_WINDOW = 0.3  # Seconds over which the shown speed is a mean.
@@ -156,8 +157,8 @@ class Robot:
     position = path[-1]
     height = position[2] - task.core.support(position[:1])
     cause = terminations.termination_cause(
-      outcome.errors.position,
-      outcome.errors.orientation,
+      outcome.errors['position'],
+      outcome.errors['orientation'],
       outcome.reward,
       height,
       np.array([np.isfinite(position).all()]),
@@ -265,7 +266,7 @@ class Rollout:
     for step in range(self.num_steps):
       self._push(step)
       made = self._robot.step()
-      if made.cause == terminations.CAUSES[terminations.INVALID]:
+      if made.cause == terminations.CAUSES[terminations.NON_FINITE]:
         return
       yield made
       if self._robot.over:
@@ -287,12 +288,15 @@ def _task_config(
   config: task_config.ImitationConfig, rollout: RolloutConfig
 ) -> task_config.ImitationConfig:
   """The policy's own task, from rest, as long as the schedule."""
-  changes: dict[str, Any] = {'time_limit': sum(rollout.durations)}
+  changes: dict[str, Any] = {
+    'events': events.NONE,
+    'time_limit': sum(rollout.durations),
+  }
   if rollout.physics_timestep is not None:
     changes['physics_timestep'] = rollout.physics_timestep
   if not rollout.terminate:
     changes['limits'] = terminations.NO_LIMITS
-  return dataclasses.replace(task_config.for_evaluation(config), **changes)
+  return dataclasses.replace(config, **changes)
 
 
 def _make_arena(config: RolloutConfig) -> track.Track:

@@ -18,8 +18,8 @@ from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import solver
 from dmc_multimode.suite import multimode_biped
-from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes
+from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.suite.reaching import problem as reaching
 from dmc_multimode.viewer import rollout
@@ -28,8 +28,8 @@ CLOCK_RATES = (0.5, 1.5)  # The slowest and the fastest.
 PUSH_SPEEDS = (0.0, 3.0)  # m/s.
 _SEGMENTS = 32  # Places for boxes: so many steps can be launched onto.
 _LIE = 1.2  # Seconds that a robot which has fallen stays where it is.
-_FALLEN = terminations.CAUSES[terminations.FALLEN]
-_INVALID = terminations.CAUSES[terminations.INVALID]
+_FALLEN = terminations.CAUSES[terminations.BASE_HEIGHT]
+_INVALID = terminations.CAUSES[terminations.NON_FINITE]
 
 
 class PlanSearch:
@@ -158,7 +158,8 @@ class LiveSession:
       episodes.ScheduledEpisodes(schedule_lib.single(np.zeros(1))),
       track.make(name, _SEGMENTS),
       dataclasses.replace(
-        task_config.for_evaluation(self._policy.config),
+        self._policy.config,
+        events=events.NONE,
         limits=terminations.NO_LIMITS,
       ),
     )

@@ -234,11 +234,11 @@ class BatchedTest(parameterized.TestCase):
       worlds.core.terrain.write(np.array([world]), arena.generate(random_state))
     worlds._move_boxes(everywhere)
     qpos, rest = _starts_and_heights(worlds.core.terrain)
-    addresses = [worlds.model.joint(name).qposadr[0] for name in joints]
+    addresses = [worlds.physics.model.joint(name).qposadr[0] for name in joints]
     columns = np.add.outer(addresses, np.arange(7))
     worlds.qpos[:, 2] = 50.0  # The robot keeps out of it.
     worlds.qpos[:, columns] = qpos
-    worlds.batch.step(nstep=_SETTLED)
+    worlds.physics.batch.step(nstep=_SETTLED)
     np.testing.assert_allclose(worlds.qpos[:, columns][..., 2], rest, atol=3e-3)
 
 

@@ -16,9 +16,9 @@ _MODES = ('idle', 'walk_forward')
 # The first model costs seconds.
 _WARM_UP = """
 from dmc_multimode.suite import multimode_biped
-from dmc_multimode.suite.imitation import batched_env
+from dmc_multimode.suite.imitation import mujoco_worlds
 from dmc_multimode.modes import library
-batched_env._compile(multimode_biped.make_task(library.mode_set('idle')))
+mujoco_worlds.compile_model(multimode_biped.make_task(library.mode_set('idle')))
 """
 
 

@@ -45,8 +45,8 @@ from torch.utils import tensorboard
 torch.optim.Adam([torch.zeros(1)])
 from dmc_multimode.modes import library
 from dmc_multimode.suite import multimode_biped
-from dmc_multimode.suite.imitation import batched_env
-batched_env._compile(multimode_biped.make_task(library.mode_set('idle')))
+from dmc_multimode.suite.imitation import mujoco_worlds
+mujoco_worlds.compile_model(multimode_biped.make_task(library.mode_set('idle')))
 """
 
 _BAD_MODE = """\

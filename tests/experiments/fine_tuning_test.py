@@ -40,47 +40,6 @@ def start(folder: pathlib.Path) -> fine_tuning.Start:
   return fine_tuning.load(str(folder))
 
 
-@pytest.mark.parametrize(
-  'changes',
-  [
-    {},
-    {'contact_bonus': 0.3},
-    {
-      'contact_bonus': 0.5,
-      'late_contact_bonus': 0.1,
-      'contact_bonus_start': 10,
-      'contact_bonus_end': 20,
-    },
-    {'obstacles': 0.4, 'obstacles_start': 8, 'push_speed': 0.5},
-    {'push_speed': 0.5, 'push_start': 9, 'tighten_steps': 5},
-  ],
-)
-def test_settled_task_is_what_a_training_ends_with(
-  changes: dict[str, Any],
-) -> None:
-  before = task_config.ImitationConfig(assist_steps=100, **changes)
-  settled = fine_tuning.settled(before)
-  for steps in (0, 1, _FOREVER):
-    for schedule in (
-      'distance_after',
-      'contact_bonus_after',
-      'obstacle_share_after',
-      'push_speed_after',
-    ):
-      found = getattr(settled, schedule)(steps)
-      assert found == pytest.approx(getattr(before, schedule)(_FOREVER))
-  assert settled.assist_steps == 0
-  # What has no schedule stays.
-  evaluated = [task_config.for_evaluation(c) for c in (before, settled)]
-  scheduled = ('contact_bonus_start', 'contact_bonus_end', 'early_distance')
-  same: dict[str, Any] = dict.fromkeys(
-    (*scheduled, 'obstacles_start', 'push_start'), 0
-  )
-  assert dataclasses.replace(evaluated[0], **same) == dataclasses.replace(
-    evaluated[1], **same
-  )
-
-
 # A policy of one-hot commands has no room for more: see below.
 @pytest.mark.parametrize(
   'name', [name for name in pretrained.names() if name != 'pi2_one_hot']
@@ -97,7 +56,7 @@ def test_defaults_fit_every_shipped_policy(
   assert config.init_modes.split(',') == list(start.policy.mode_set.names)
   assert config.sampling.focused == ('squat',)
   assert config.sampling.gait_steps == 0
-  assert config.task.distance_after(0) == config.task.limits.distance
+  assert config.task.events == config.task.events.at_end()
   least = [config.ppo.std_bounds(steps)[0] for steps in (0, 1000)]
   assert least[1] < 0.5 * least[0]
   # And what a run keeps of it can be read back.
@@ -110,7 +69,7 @@ def test_its_own_training_is_gone_on_with() -> None:
   config = start.config(start.policy.mode_set.motions, 1000)
   assert config.ppo.symmetry == run['ppo']['symmetry'] == 'alternate'
   assert config.ppo.discount == run['ppo']['discount']
-  assert config.task.gains._asdict() == run['task']['gains']
+  assert config.task.gains == task_config.from_dict(run['task']).gains
   assert config.sampling.focused == ()
 
 

@@ -15,8 +15,8 @@ from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.planner import q_learning
 from dmc_multimode.planner import solver as planning
 from dmc_multimode.suite import multimode_biped
-from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes
+from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.reaching import problem as reaching
 from tests.planner import replay
 
@@ -66,7 +66,7 @@ def _in_composer(
 ) -> np.ndarray:
   """Returns the path of the plan in a Composer environment."""
   config = dataclasses.replace(
-    task_config.for_evaluation(policy.config),
+    dataclasses.replace(policy.config, events=events.NONE),
     time_limit=found.plan.duration,
   )
   task = multimode_biped.make_task(

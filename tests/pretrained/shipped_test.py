@@ -12,8 +12,8 @@ from dmc_multimode.evaluation import episodes as evaluation_episodes
 from dmc_multimode.modes import schedule
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
-from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes
+from dmc_multimode.suite.imitation import events
 
 _EPISODES = 4  # Of each mode.
 _MARGIN = 0.05  # Of the mean return, for so few episodes.
@@ -31,7 +31,7 @@ class ShippedTest(parameterized.TestCase):
     task = multimode_biped.make_task(
       policy.mode_set,
       episodes.ScheduledEpisodes(schedule.single(modes)),
-      config=task_config.for_evaluation(policy.config),
+      config=dataclasses.replace(policy.config, events=events.NONE),
     )
     worlds = batched_env.BatchedImitation(task, len(modes), 1, auto_reset=False)
     found = evaluation_episodes.run_episodes(worlds, policy.select_action)
@@ -66,7 +66,7 @@ class ShippedTest(parameterized.TestCase):
     names = [motion.name for motion in policy.mode_set.motions]
     walks = 'walk_forward' in names  # Unimodal ones may not.
     mode = np.array([names.index('walk_forward') if walks else 0])
-    config = task_config.for_evaluation(policy.config)
+    config = dataclasses.replace(policy.config, events=events.NONE)
     task = multimode_biped.make_task(
       policy.mode_set,
       episodes.ScheduledEpisodes(schedule.single(mode)),

@@ -34,9 +34,9 @@ def test_depth_by_hand() -> None:
   worlds = batched_env.BatchedImitation(task, 2, 0, 1)
   worlds.reset()
   feet = [7, 10]
-  assert worlds.model.geom(feet[0]).name == 'walker/left_foot'
-  position = np.zeros((2, worlds.model.ngeom, 3))
-  rotation = np.tile(np.eye(3).ravel(), (2, worlds.model.ngeom, 1))
+  assert worlds.physics.model.geom(feet[0]).name == 'walker/left_foot'
+  position = np.zeros((2, worlds.physics.model.ngeom, 3))
+  rotation = np.tile(np.eye(3).ravel(), (2, worlds.physics.model.ngeom, 1))
   position[:, feet] = [0.0, 0.0, 0.2]
   position[1, feet[0]] = [0.0, 0.0, 0.004]  # A level foot of +-10 mm.
   found = fault_physics._depths(

@@ -80,7 +80,7 @@ def test_a_fall_is_told_and_undone(session: live.LiveSession) -> None:
   for _ in range(3):
     session.push((0.0, 3.0))
   state = _run(session, 3.0, lambda state: state.down)
-  assert state.step.cause == 'fallen'
+  assert state.step.cause == 'base_height'
   assert state.notice == 'It has fallen.'
   state = _run(session, 3.0, lambda state: not state.down)
   assert 'put back to the start' in state.notice
@@ -97,7 +97,7 @@ def test_a_state_that_is_not_finite_is_told_and_undone(
   session.step()
   session.robot.physics.data.qvel[:] = np.nan
   state = session.step()
-  assert (state.down, state.step.cause) == (True, 'invalid')
+  assert (state.down, state.step.cause) == (True, 'non_finite')
   assert 'not finite' in state.notice
   state = _run(session, 3.0, lambda state: not state.down)
   assert 'put back to the start' in state.notice

@@ -9,22 +9,19 @@ from typing import Any, Mapping, NamedTuple
 
 from dm_env import specs
 import mujoco
-from mujoco import batch as mujoco_batch
 import numpy as np
 
 from dmc_multimode.arenas import terrain as terrain_lib
-from dmc_multimode.arenas import track as track_lib
 from dmc_multimode.modes import motion as motion_lib
-from dmc_multimode.suite.imitation import assistance
 from dmc_multimode.suite.imitation import composer_task
 from dmc_multimode.suite.imitation import core as imitation_core
+from dmc_multimode.suite.imitation import events
+from dmc_multimode.suite.imitation import mujoco_worlds
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.suite.imitation import privileged as privileged_lib
 from dmc_multimode.suite.imitation import symmetry as task_symmetry
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.walkers import mini_biped
-
-_SOLE = np.array([0.0, 0.0, 0.01])  # Under the middle of a level foot, metres.
 
 
 class EpisodeResults(NamedTuple):
@@ -74,13 +71,16 @@ class BatchedImitation:
   """B worlds of an `Imitation` task, stepped together on a thread pool.
 
   Attributes:
+    physics: the engine's worlds.
+    qpos, qvel: its generalised positions [B, 17] and velocities [B, 16].
+    core: the task's worlds.
     moving: whether each world's robot moves, [B]; one that is held still is
       where it is, and costs no time, while the clocks run on. No `state` holds
       it.
     invalid_cause: see `EpisodeResults.causes`, of a world that diverged.
   """
 
-  invalid_cause = terminations.INVALID
+  invalid_cause = terminations.NON_FINITE
 
   def __init__(
     self,
@@ -91,6 +91,7 @@ class BatchedImitation:
     auto_reset: bool = True,
     privileged: bool = False,
     replicas: int = 1,
+    model: mujoco.MjModel | None = None,
   ):
     """Compiles the task's model; call `reset` before `step`.
 
@@ -107,6 +108,8 @@ class BatchedImitation:
         see, `privileged`: D then grows from 33 + n_m to 42 + 2 n_m.
       replicas: how many environments like this one train together. Of several,
         none learns from its own episodes alone: tell each by `learn`.
+      model: what `mujoco_worlds.compile_model` makes of the task, or that with
+        another mass, friction, ...; it is compiled if not given.
     """
     self.config = task.config
     self.episodes = task.episodes
@@ -125,37 +128,22 @@ class BatchedImitation:
       else np.random.RandomState(seed)
     )
     self.core = task.make_core(num_worlds, task.episodes.max_knots)
-    self._set_up_physics(_compile(task), num_threads)
+    if model is None:
+      model = mujoco_worlds.compile_model(task)
+    self.physics = mujoco_worlds.MujocoWorlds(
+      model, self._arena, num_worlds, num_threads
+    )
+    self.qpos, self.qvel = self.physics.qpos, self.physics.qvel
     self._returns = np.zeros(num_worlds)
     self._initial = np.zeros(num_worlds, dtype=np.int64)
     self._final = np.zeros(num_worlds, dtype=np.int64)
     self._ended = np.zeros(num_worlds, dtype=bool)
     self.moving = np.ones(num_worlds, dtype=bool)
     self._total_steps = 0
-    self.assistance = assistance.TakeoffAssistance(
-      self.config.assist_steps, self.core.tracker.bank.takeoffs > 0
+    self.assistance = events.TakeoffAssistance(
+      self.config.events.assistance_steps, self.core.tracker.bank.takeoffs > 0
     )
     self.outcome: imitation_core.Outcome | None = None
-
-  def _set_up_physics(self, model: mujoco.MjModel, num_threads: int) -> None:
-    self.model = model
-    self.batch = mujoco_batch.Batch(model, self.num_worlds, num_threads)
-    self.qpos, self.qvel = self.batch.bind('qpos'), self.batch.bind('qvel')
-    self._ctrl = self.batch.bind('ctrl')
-    self._touch = self.batch.bind('sensordata')
-    self._site_xpos = self.batch.bind('site_xpos')
-    self._feet = model.sensor_objid[: len(mini_biped.SIDES)]
-    self._boxes = [
-      model.geom(geom.full_identifier).id for geom in self._arena.ground_geoms
-    ]
-    bodies = model.geom_bodyid[self._boxes]
-    self._mocaps = model.body_mocapid[bodies]
-    self._mocap_pos = self.batch.bind('mocap_pos')
-    self._bvhs = model.body_bvhadr[bodies]
-    self._sizes = {
-      name: self.batch.expand(name)
-      for name in ('geom_size', 'geom_rbound', 'geom_aabb', 'bvh_aabb')
-    }
 
   def observation_spec(self) -> specs.Array:
     """One world's observation, float32 [D]; see `observations`."""
@@ -169,7 +157,7 @@ class BatchedImitation:
 
   def standing_action(self) -> np.ndarray:
     """Returns joint targets that hold the initial crouch, radians, [10]."""
-    return mini_biped.standing_action(self.model)
+    return mini_biped.standing_action(self.physics.model)
 
   def mirror_image(self) -> task_symmetry.MirrorImage:
     """Returns how to exchange left and right; see `symmetry.mirror_image`."""
@@ -199,19 +187,23 @@ class BatchedImitation:
     """
     self._begin(np.array([0]))
     self._ended[:] = False
-    return self.take(np.zeros(self.num_worlds, dtype=np.int64))
+    return self.copy_state(np.zeros(self.num_worlds, dtype=np.int64))
 
   def step(self, actions: np.ndarray) -> BatchedTimeStep:
     """Applies actions, [B, 10], for one control step."""
-    diverged = self._advance_physics(actions)
+    spec = self._action_spec
+    bounds = np.stack([spec.minimum, spec.maximum])
+    diverged = self.physics.step(
+      actions, bounds, self.moving, self.config.substeps
+    )
     steps = self.num_worlds * self._replicas
     self._total_steps += steps
-    self.assistance.advance(steps)
+    self.assistance.fade(steps)
     self.episodes.advance(steps)
     self._follow_schedules()
     outcome = self.core.advance(self.qpos, self.qvel, self.feet_contact())
     if len(diverged):
-      outcome.cause[diverged] = terminations.INVALID
+      outcome.cause[diverged] = terminations.NON_FINITE
       outcome.reward[diverged] = 0.0
     self.outcome = outcome
     self._returns += outcome.reward
@@ -236,20 +228,15 @@ class BatchedImitation:
     )
     return self._observe()
 
-  def take(self, sources: np.ndarray) -> np.ndarray:
-    """Lets every world go on from where another is; returns observations.
+  def copy_state(
+    self, sources: np.ndarray, other: 'BatchedImitation | None' = None
+  ) -> np.ndarray:
+    """Copies states: world i continues from the state of `sources[i]`.
 
     Args:
-      sources: index of the world that world i takes after, [B].
-    """
-    return self._go_on_from(self, sources)
-
-  def adopt(self, other: 'BatchedImitation', source: int = 0) -> np.ndarray:
-    """Lets all worlds go on from where one of another's is.
-
-    Args:
-      other: worlds of the same model and task, as many as they may be.
-      source: index of the world among them.
+      sources: indices of worlds, [B].
+      other: whose worlds these are, of the same model and task, as many as they
+        may be; its own by default.
 
     Returns:
       The observations.
@@ -257,32 +244,28 @@ class BatchedImitation:
     Raises:
       ValueError: the other's physics has a state of another size.
     """
-    if other.batch.nstate != self.batch.nstate:
+    other = other or self
+    theirs, mine = (each.physics.state.shape[1] for each in (other, self))
+    if theirs != mine:
       raise ValueError(
-        f"A world's state has {other.batch.nstate} numbers there and "
-        f'{self.batch.nstate} here: use worlds of the same task.'
+        f"A world's state has {theirs} numbers there and {mine} here: use "
+        'worlds of the same task.'
       )
-    return self._go_on_from(other, np.full(self.num_worlds, source))
-
-  def _go_on_from(
-    self, other: 'BatchedImitation', sources: np.ndarray
-  ) -> np.ndarray:
-    """Takes over one of the other's worlds in each; returns observations."""
     terrain = other.core.terrain.rows(sources)
     moved = [
       (mine != theirs).any(axis=1)
       for mine, theirs in zip(self.core.terrain, terrain, strict=True)
     ]
-    theirs = other._fields()
+    fields = other._fields()
     for name, field in self._fields().items():
-      field[:] = theirs[name][sources]
+      field[:] = fields[name][sources]
     self._move_boxes(np.flatnonzero(np.any(moved, axis=0)))
     return self._observe()
 
   def _fields(self) -> dict[str, np.ndarray]:
     """Returns what each world has of its own, each with a leading axis B."""
     fields = {
-      'physics': self.batch.state,
+      'physics': self.physics.state,
       'returns': self._returns,
       'initial': self._initial,
       'final': self._final,
@@ -298,27 +281,25 @@ class BatchedImitation:
     return fields
 
   def _follow_schedules(self) -> None:
-    """Sets what changes along a training: a bound, a share of obstacles."""
-    config, core, steps = self.config, self.core, self._total_steps
-    core.limits = core.limits._replace(distance=config.distance_after(steps))
-    core.obstacle_share = config.obstacle_share_after(steps)
+    """Sets what changes along a training: a limit, a share of obstacles."""
+    scheduled, core, steps = self.config.events, self.core, self._total_steps
+    core.distance_slack = scheduled.distance_slack.at(steps)
+    core.terrain_events.obstacle_share = scheduled.obstacles.at(steps)
 
   def _bonus(self, outcome: imitation_core.Outcome) -> np.ndarray | float:
-    """What a training pays besides Eq. 3, [B]."""
-    weight = self.config.contact_bonus_after(self._total_steps)
+    """Returns what a training pays besides Eq. 3, [B]."""
+    weight = self.config.events.contact_bonus.at(self._total_steps)
     if not weight:
       return 0.0
-    agreement = self.core.footing(outcome.reference, self._soles())
+    agreement = self.core.contact_schedule_agreement(
+      outcome.reference, self.physics.soles()
+    )
     return np.where(
-      outcome.cause == terminations.INVALID, 0.0, weight * agreement
+      outcome.cause == terminations.NON_FINITE, 0.0, weight * agreement
     )
 
-  def _soles(self) -> np.ndarray:
-    """World positions of the soles (left, right), metres, [B, 2, 3]."""
-    return self._site_xpos[:, self._feet] - _SOLE
-
   def _assist(self) -> None:
-    """Helps the robots whose references take off."""
+    """Speeds up the robots whose references take off."""
     if not self.assistance.share:
       return
     ids, wanted = self.core.tracker.take_offs()
@@ -326,26 +307,13 @@ class BatchedImitation:
 
   def _push(self) -> None:
     """Pushes some robots in some horizontal direction, now and then."""
-    config = self.config
-    most = config.push_speed_after(self._total_steps)
-    if not most:
-      return
-    uniform = lambda high, size: self._random_state.uniform(0, high, size)
-    share = config.control_timestep / config.push_interval
-    ids = np.flatnonzero(uniform(1.0, self.num_worlds) < share)
-    speed, way = uniform(most, len(ids)), uniform(2 * np.pi, len(ids))
-    self.qvel[ids, 0] += speed * np.cos(way)
-    self.qvel[ids, 1] += speed * np.sin(way)
-
-  def _advance_physics(self, actions: np.ndarray) -> np.ndarray:
-    """Returns the worlds in which the engine gave up."""
-    spec = self._action_spec
-    np.clip(actions, spec.minimum, spec.maximum, out=self._ctrl)
-    try:
-      self.batch.step(ids=self.moving, nstep=self.config.substeps)
-    except mujoco_batch.SimulationError as error:
-      return np.asarray(error.ids)
-    return np.zeros(0, dtype=np.int64)
+    config, scheduled = self.config, self.config.events
+    events.push(
+      self.qvel,
+      scheduled.push_speed.at(self._total_steps),
+      config.control_timestep / scheduled.push_interval,
+      self._random_state,
+    )
 
   def _conclude(
     self, outcome: imitation_core.Outcome, observation: np.ndarray
@@ -419,26 +387,18 @@ class BatchedImitation:
     )
     episodes = self.episodes.sample(ids, self._random_state)
     qpos, qvel = self.core.start(ids, episodes, terrain, self._random_state)
-    self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
-    self.qpos[ids], self.qvel[ids] = qpos, qvel
+    self.physics.reset(ids, qpos, qvel)
     self._move_boxes(ids)
     self._returns[ids] = 0.0
     self._initial[ids], self._final[ids] = episodes.initial, episodes.final
 
   def _move_boxes(self, ids: np.ndarray) -> None:
     """Puts the boxes of the worlds `ids` where their terrains say."""
-    if not len(ids):
-      return
-    centres, halves = terrain_lib.boxes(self.core.terrain.rows(ids))
-    self._mocap_pos[np.ix_(ids, self._mocaps)] = centres
-    rows = {name: field[ids] for name, field in self._sizes.items()}
-    track_lib.write_sizes(halves, np.array(self._boxes), self._bvhs, **rows)
-    for name, field in self._sizes.items():
-      field[ids] = rows[name]
+    self.physics.move_boxes(ids, self.core.terrain.rows(ids))
 
   def feet_contact(self) -> np.ndarray:
-    """Feet on the ground (left, right), 0 or 1, [B, 2]."""
-    return (self._touch > self.config.contact_force).astype(np.float64)
+    """Returns feet on the ground (left, right), 0 or 1, [B, 2]."""
+    return (self.physics.touch() > self.config.contact_force).astype(np.float64)
 
   def measure(self) -> dict[str, np.ndarray]:
     """Returns what evaluations look at, copies with a leading axis B.
@@ -487,15 +447,15 @@ class BatchedImitation:
     return state
 
   def restore(self, state: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Takes over a `state`; returns the observations of that moment.
+    """Restores a `state`; returns the observations of that moment.
 
     Raises:
       ValueError: the state is of another number of worlds or another task.
     """
-    if state['physics'].shape != self.batch.state.shape:
+    if state['physics'].shape != self.physics.state.shape:
       raise ValueError(
         f'The saved worlds have shape {state["physics"].shape}, these '
-        f'{self.batch.state.shape}: use the same number of worlds and task.'
+        f'{self.physics.state.shape}: use the same number of worlds and task.'
       )
     for name, field in self._fields().items():
       if state[name].shape != field.shape:
@@ -525,36 +485,3 @@ def _sub(state: Mapping[str, np.ndarray], prefix: str) -> dict[str, Any]:
     for key, value in state.items()
     if key.startswith(prefix)
   }
-
-
-def make_spec(task: composer_task.Imitation) -> mujoco.MjSpec:
-  """Returns the task's model with no sensors but those of the feet."""
-  root = task.root_entity.mjcf_model
-  spec = mujoco.MjSpec.from_string(root.to_xml_string(), root.get_assets())
-  kept = {sensor.full_identifier for sensor in task.walker.foot_sensors}
-  for sensor in list(spec.sensors):
-    if sensor.name not in kept:
-      spec.delete(sensor)
-  return spec
-
-
-def _compile(task: composer_task.Imitation) -> mujoco.MjModel:
-  """Compiles the task's model with nothing in it that only eyes look at.
-
-  Visual geoms, cameras, lights and all sensors but those of the feet cost a
-  fifth of every physics step and change none.
-  """
-  spec = make_spec(task)
-  sites = {sensor.objname for sensor in spec.sensors}
-  unseen = [site for site in spec.sites if site.name not in sites]
-  unseen += [geom for geom in spec.geoms if not geom.contype | geom.conaffinity]
-  for element in [*unseen, *spec.cameras, *spec.lights]:
-    spec.delete(element)
-  model = spec.compile()
-  feet = [
-    model.sensor_adr[model.sensor(sensor.full_identifier).id]
-    for sensor in task.walker.foot_sensors
-  ]
-  if feet != list(range(len(mini_biped.SIDES))):
-    raise ValueError('The foot sensors are not where they are expected.')
-  return model

@@ -30,9 +30,9 @@ class Tracked(NamedTuple):
     phase: in [0, 1].
     anchor: origin of the anchor frame, world metres, [B, 3].
     heading: commanded heading, radians.
-    edge: where the step begins that the mode is made for, world metres;
+    edge: where the ledge begins that the mode is made for, world metres;
       infinite without one.
-    rise: height of that step, metres.
+    rise: height of that ledge, metres.
   """
 
   schedule_modes: np.ndarray
@@ -120,13 +120,15 @@ class ModeTracker:
     state.anchor[ids] = 0.0
     state.anchor[ids, 2] = support
     state.heading[ids] = 0.0
-    self._forget_step(ids)
+    self._forget_ledge(ids)
 
-  def _forget_step(self, ids: np.ndarray) -> None:
+  def _forget_ledge(self, ids: np.ndarray) -> None:
     self.state.edge[ids], self.state.rise[ids] = np.inf, 0.0
 
-  def expect_step(self, ids: np.ndarray, edge: np.ndarray, rise: float) -> None:
-    """Tells the worlds `ids` which step their modes are about to climb.
+  def expect_ledge(
+    self, ids: np.ndarray, edge: np.ndarray, rise: float
+  ) -> None:
+    """Tells the worlds `ids` which ledge their modes are about to climb.
 
     Args:
       ids: worlds, [N].
@@ -158,7 +160,7 @@ class ModeTracker:
       self._wrap(over)
 
   def _phase_step(self) -> np.ndarray:
-    """How far the clocks run in a control step, [B]."""
+    """Returns how far the clocks run in a control step, [B]."""
     state, durations = self.state, self.bank.durations
     return self._timestep * state.clock_rate / durations[state.mode]
 
@@ -191,8 +193,8 @@ class ModeTracker:
     )
     state.heading[again] += bank.turns[modes]
 
-  def due(self) -> tuple[np.ndarray, np.ndarray]:
-    """Takes the commands that are due now.
+  def pop_due_commands(self) -> tuple[np.ndarray, np.ndarray]:
+    """Takes the commands that are due now off the schedules.
 
     Returns:
       The worlds whose mode changes, [N], and their new modes, [N]. A command
@@ -235,7 +237,7 @@ class ModeTracker:
     state.phase[ids] = 0.0
     state.anchor[ids, :2] = position[:, :2]
     state.anchor[ids, 2] = support
-    self._forget_step(ids)
+    self._forget_ledge(ids)
 
   def reference(
     self, ids: np.ndarray | slice = slice(None)
@@ -250,7 +252,7 @@ class ModeTracker:
     return local._replace(position=state.anchor[ids] + turned)
 
   def airborne(self, ids: np.ndarray) -> np.ndarray:
-    """Whether the references of `ids` have both feet off the ground, [N]."""
+    """Returns whether references of `ids` have no foot on the ground, [N]."""
     state = self.state
     local = self.bank.sample(state.mode[ids], state.phase[ids])
     return local.has_contact & ~local.contact.any(axis=1)

@@ -13,7 +13,6 @@ re-anchors the reference); `observe` (what the next action sees).
 from typing import Mapping, NamedTuple
 
 import numpy as np
-from scipy.spatial import transform
 
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.modes import mode_set as mode_set_lib
@@ -21,18 +20,14 @@ from dmc_multimode.modes import reference as reference_lib
 from dmc_multimode.suite.imitation import commands
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes as episodes_lib
+from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import observations
-from dmc_multimode.suite.imitation import obstacles
 from dmc_multimode.suite.imitation import privileged
+from dmc_multimode.suite.imitation import resets
 from dmc_multimode.suite.imitation import rewards
 from dmc_multimode.suite.imitation import terminations
-from dmc_multimode.walkers import kinematics
+from dmc_multimode.suite.imitation import terrain_events
 
-_SLOWEST_START = 0.5  # Share of the reference's velocity.
-_FOOT_REACH = 0.12  # Metres ahead and behind the trunk that feet may cover.
-_LEAST_ALONG = 0.5  # Share of the way of a step that is along x, at least.
-_STRIDE = 0.45  # Metres ahead of the trunk where a foot may stand already.
-_LANDED = 0.2  # Metres past an edge where no foot is before it any more.
 _ANYWHERE = np.eye(7 + observations.NUM_JOINTS)[3]  # Qpos: unturned.
 
 
@@ -42,20 +37,29 @@ class Outcome(NamedTuple):
   Attributes:
     reward: in [0, 1].
     terms: the weighted terms of the reward by name.
-    errors: distances from the reference.
+    errors: distances from the reference, by the names of the terms.
     reference: that was in force.
     cause: index into `terminations.CAUSES`, 0 where the episode goes on.
   """
 
   reward: np.ndarray
   terms: dict[str, np.ndarray]
-  errors: rewards.TrackingErrors
+  errors: dict[str, np.ndarray]
   reference: reference_lib.Reference
   cause: np.ndarray
 
 
 class ImitationCore:
-  """Task state of B worlds and the rules that move it."""
+  """Task state of B worlds and the rules that move it.
+
+  Attributes:
+    config: of the task.
+    tracker: commands, clocks and references.
+    terrain: of every world.
+    terrain_events: edits it when modes begin.
+    contact: feet on the ground (left, right), 0 or 1, [B, 2].
+    distance_slack: added to the limit on the distance, metres.
+  """
 
   def __init__(
     self,
@@ -73,20 +77,24 @@ class ImitationCore:
       config: of the task.
       num_worlds: B.
       num_segments: places for segments in each terrain.
-      adaptive_terrain: whether steps are put where commanded modes need them.
+      adaptive_terrain: puts ledges where commanded modes need them.
       max_knots: the most commands that a schedule may hold.
     """
     self.config = config
-    self.limits = config.limits
+    self.distance_slack = 0.0
     self.tracker = commands.ModeTracker(
       mode_set, config.control_timestep, num_worlds, max_knots
     )
     self.terrain = terrain_lib.empty(num_worlds, num_segments)
     self.contact = np.zeros((num_worlds, 2))
-    self.obstacle_share = config.obstacle_share_after(0)
-    self._obstacles = obstacles.ObstacleSource(mode_set)
-    self._adaptive = adaptive_terrain
-    self._steps = [motion.ledge for motion in mode_set.motions]
+    self.terrain_events = terrain_events.TerrainEvents(
+      mode_set,
+      self.terrain,
+      self.tracker,
+      config.events.edge_noise,
+      config.events.obstacles.at(0),
+      adaptive_terrain,
+    )
 
   def start(
     self,
@@ -108,64 +116,24 @@ class ImitationCore:
     """
     count = len(ids)
     on_reference = random_state.uniform(size=count) < (
-      self.config.reference_starts
+      self.config.events.reference_starts
     )
     phase = random_state.uniform(size=count) * on_reference
     self.terrain.write(ids, terrain)
     support = terrain_lib.support_height(terrain, np.zeros(count))
     self.tracker.reset(ids, episodes.schedule, phase, support)
-    self._prepare_ground(ids, episodes.initial, np.zeros(count), random_state)
+    self.terrain_events.prepare(
+      ids, episodes.initial, np.zeros(count), random_state
+    )
     self.contact[ids] = 0.0
-    return self._initial_state(ids, on_reference, random_state)
-
-  def _initial_state(
-    self,
-    ids: np.ndarray,
-    on_reference: np.ndarray,
-    random_state: np.random.RandomState,
-  ) -> tuple[np.ndarray, np.ndarray]:
-    """Poses the robots of `ids` on their references, with noise."""
-    config, count = self.config, len(ids)
-    position, orientation, velocity = self.tracker.start_pose(ids)
-    position[:, 2] += self._lifted(position[:, 0], ids)
-    # Slower than the reference as well: a flight that falls short teaches what
-    # a perfect one, which only a perfect take-off leads to, cannot.
-    pace = random_state.uniform(_SLOWEST_START, 1.0, size=count)
-    velocity *= (pace * on_reference)[:, None]
-    x = position[:, 0]
-    clear = terrain_lib.clearance_height(self.terrain.rows(ids), x, _FOOT_REACH)
-    airborne = self.tracker.airborne(ids)
-    # In flight the legs are drawn up; even so they must clear a block below.
-    lowest = np.where(airborne, kinematics.CROUCH_HEIGHT, kinematics.LOWEST)
-    position[:, 2] = np.maximum(position[:, 2], clear + lowest)
-    swinging, time, length = self.tracker.swing_timing(ids)
-    swinging &= on_reference[:, None]
-    forward, lift, forward_rate, lift_rate = kinematics.stepping(
-      velocity[:, 0], swinging, time, length
+    return resets.initial_state(
+      self.tracker,
+      self.terrain.rows(ids),
+      self.config,
+      ids,
+      on_reference,
+      random_state,
     )
-    velocity[:, 1] += pace * kinematics.sway(swinging, time, length)
-    height = np.where(
-      airborne, kinematics.CROUCH_HEIGHT, position[:, 2] - clear
-    )
-    climb = np.where(airborne, 0.0, velocity[:, 2])
-    angles, rates = kinematics.placing(
-      forward,
-      height[:, None] - lift,
-      forward_rate,
-      climb[:, None] - lift_rate,
-    )
-    joints = observations.NUM_JOINTS
-    tilt = config.tilt_noise * random_state.standard_normal((count, 2))
-    angles += config.joint_noise * random_state.standard_normal((count, joints))
-    qpos = np.concatenate(
-      [position, _tilted(orientation, tilt), angles], axis=1
-    )
-    qvel = config.velocity_noise * random_state.standard_normal(
-      (count, 6 + joints)
-    )
-    qvel[:, :3] += velocity
-    qvel[:, 6:] += rates
-    return qpos, qvel
 
   def advance(
     self, qpos: np.ndarray, qvel: np.ndarray, contact: np.ndarray
@@ -183,25 +151,23 @@ class ImitationCore:
     # A world that diverged is nowhere; anywhere keeps the others going.
     safe = qpos if finite.all() else np.where(finite[:, None], qpos, _ANYWHERE)
     reference = self.reference(safe[:, 0])
+    orientation = observations.heading_frame(
+      safe[:, 3:7], self.tracker.state.heading
+    )
     errors = rewards.tracking_errors(
-      safe[:, :3],
-      observations.heading_frame(safe[:, 3:7], self.tracker.state.heading),
-      contact,
-      reference.position,
-      reference.orientation,
-      reference.contact,
-      reference.has_contact,
+      rewards.RobotState(safe, qvel, orientation, contact), reference
     )
     terms = rewards.reward_terms(errors, config.gains)
     reward = np.where(finite, sum(terms.values()), 0.0)
     height = safe[:, 2] - self.support(safe[:, 0])
     cause = terminations.termination_cause(
-      errors.position,
-      errors.orientation,
+      errors['position'],
+      errors['orientation'],
       reward,
       height,
       finite,
-      self.limits,
+      config.limits,
+      self.distance_slack,
     )
     return Outcome(reward, terms, errors, reference, cause)
 
@@ -210,25 +176,18 @@ class ImitationCore:
   ) -> reference_lib.Reference:
     """Returns the references of the worlds `ids`, over the ground at `x`.
 
-    A motion is made for level ground, or for the one step that it climbs. Where
-    the ground under the trunk is another, the motion is carried up or down with
-    it.
+    Where the ground under the trunk is another than the motion is made for,
+    the motion is carried up or down with it.
 
     Args:
       x: of the trunks, world metres, [N].
       ids: worlds, [N]; all by default.
     """
     reference = self.tracker.reference(ids)
-    reference.position[:, 2] += self._lifted(x, ids)
+    reference.position[:, 2] += resets.lift_of_ground(
+      self.tracker, self._ground(ids), x, ids
+    )
     return reference
-
-  def _lifted(
-    self, x: np.ndarray, ids: np.ndarray | slice = slice(None)
-  ) -> np.ndarray:
-    """How much higher the ground at `x` is than motions expect it, [N]."""
-    terrain = self._ground(ids)
-    support = terrain_lib.support_height(terrain, x)
-    return support - self.tracker.expected_support(x, ids)
 
   def switch(
     self, qpos: np.ndarray, random_state: np.random.RandomState
@@ -238,7 +197,7 @@ class ImitationCore:
     Returns:
       The worlds whose terrain changed, [N].
     """
-    return self.command(*self.tracker.due(), qpos, random_state)
+    return self.command(*self.tracker.pop_due_commands(), qpos, random_state)
 
   def command(
     self,
@@ -253,7 +212,7 @@ class ImitationCore:
       ids: worlds, [N].
       modes: their new modes, [N].
       qpos: of all worlds, [B, 17].
-      random_state: of the places of steps.
+      random_state: of the places of ledges and obstacles.
 
     Returns:
       The worlds whose terrain changed.
@@ -263,147 +222,19 @@ class ImitationCore:
     position = qpos[ids, :3]
     support = terrain_lib.support_height(self.terrain.rows(ids), position[:, 0])
     self.tracker.command(ids, modes, position, support)
-    return self._prepare_ground(ids, modes, position[:, 0], random_state)
+    return self.terrain_events.prepare(ids, modes, position[:, 0], random_state)
 
-  def _prepare_ground(
-    self,
-    ids: np.ndarray,
-    modes: np.ndarray,
-    x: np.ndarray,
-    random_state: np.random.RandomState,
-  ) -> np.ndarray:
-    """Puts what the modes that begin in `ids` call for, or are to meet, ahead.
-
-    Args:
-      ids: worlds, [N].
-      modes: the modes that begin, [N].
-      x: of their anchors, metres, [N].
-      random_state: of places and obstacles.
-
-    Returns:
-      The worlds whose terrain changed.
-    """
-    changed = np.zeros(0, dtype=np.int64)
-    if self._adaptive:
-      changed = np.union1d(
-        self._level_behind(ids, modes, x),
-        self._place_steps(ids, modes, x, random_state),
-      )
-      if self.obstacle_share:
-        changed = np.union1d(
-          changed, self._place_obstacles(ids, modes, x, random_state)
-        )
-    for mode in np.unique(modes):
-      step = self._steps[mode]
-      if step is not None:
-        mine = modes == mode
-        start, _, _ = terrain_lib.next_segment(
-          self.terrain.rows(ids[mine]), x[mine]
-        )
-        self.tracker.expect_step(ids[mine], start, step.height)
-    return changed
-
-  def _level_behind(
-    self, ids: np.ndarray, modes: np.ndarray, x: np.ndarray
-  ) -> np.ndarray:
-    """Takes away the step behind those whose modes go backwards.
-
-    Returns:
-      The worlds whose terrain changed.
-    """
-    terrain = terrain_lib.Terrain(*(field[ids] for field in self.terrain))
-    begins = terrain_lib.segment_start(terrain, x)
-    has_step = begins > terrain.starts[:, 0]
-    goes_back = self.tracker.bank.displacements[modes, 0] < 0
-    mine = goes_back & has_step & (x - begins > _LANDED)
-    self.terrain.write(
-      ids[mine], terrain_lib.levelled_behind(terrain.rows(mine), x[mine])
-    )
-    return ids[mine]
-
-  def _place_steps(
-    self,
-    ids: np.ndarray,
-    modes: np.ndarray,
-    x: np.ndarray,
-    random_state: np.random.RandomState,
-  ) -> np.ndarray:
-    """Puts the steps that `modes` call for where their references need them.
-
-    Returns:
-      The worlds whose terrain changed.
-    """
-    changed = []
-    # The ground changes along x alone, a turned robot goes along its heading.
-    along = np.cos(self.tracker.state.heading[ids])
-    along = np.maximum(along, _LEAST_ALONG)
-    for mode in np.unique(modes):
-      step = self._steps[mode]
-      if step is None:
-        continue
-      mine = modes == mode
-      noise = self.config.edge_noise * random_state.uniform(-1, 1, mine.sum())
-      self.terrain.write(
-        ids[mine],
-        terrain_lib.with_step(
-          self.terrain.rows(ids[mine]),
-          x[mine],
-          x[mine] + step.edge * along[mine] + noise,
-          step.height,
-        ),
-      )
-      changed.append(ids[mine])
-    return np.concatenate(changed) if changed else np.zeros(0, dtype=np.int64)
-
-  def _place_obstacles(
-    self,
-    ids: np.ndarray,
-    modes: np.ndarray,
-    x: np.ndarray,
-    random_state: np.random.RandomState,
-  ) -> np.ndarray:
-    """Puts obstacles ahead of some of `ids`, and level ground of the others.
-
-    Returns:
-      The worlds whose terrain changed.
-    """
-    step, rise, _ = terrain_lib.next_segment(self.terrain.rows(ids), x)
-    made = np.array([s is not None for s in self._steps])[modes]
-    # A step on which a foot may stand already must not vanish under it.
-    free = made | (rise == 0) | (step - x > _STRIDE)
-    ids, modes, x, made = ids[free], modes[free], x[free], made[free]
-    local = self.tracker.bank.sample(modes, self.tracker.state.phase[ids])
-    drawn = self._obstacles.draw(modes, local.position[:, 0], random_state)
-    chosen = random_state.uniform(size=len(ids)) < self.obstacle_share
-    chosen &= np.isfinite(drawn.edge)
-    level = ~chosen & ~made
-    self.terrain.write(
-      ids[level],
-      terrain_lib.levelled(self.terrain.rows(ids[level]), x[level]),
-    )
-    self.terrain.write(
-      ids[chosen],
-      terrain_lib.with_step(
-        self.terrain.rows(ids[chosen]),
-        x[chosen],
-        x[chosen] + drawn.edge[chosen],
-        drawn.height[chosen],
-        drawn.gap[chosen],
-      ),
-    )
-    return ids[level | chosen]
-
-  def footing(
+  def contact_schedule_agreement(
     self, reference: reference_lib.Reference, soles: np.ndarray
   ) -> np.ndarray:
-    """How well the feet do what the reference's do, see `rewards`, [B].
+    """Returns how well feet keep the reference's contacts, see `events`, [B].
 
     Args:
       reference: that is in force.
       soles: world positions of the soles (left, right), metres, [B, 2, 3].
     """
     grounds = [self.support(soles[:, foot, 0]) for foot in range(2)]
-    return rewards.footing(
+    return events.contact_schedule_agreement(
       self.contact,
       soles[:, :, 2] - np.stack(grounds, axis=1),
       reference.contact,
@@ -462,14 +293,3 @@ class ImitationCore:
       following,
       *terrain_lib.next_segment(terrain, x),
     )
-
-
-def _tilted(quaternion: np.ndarray, tilt: np.ndarray) -> np.ndarray:
-  """Turns orientations [N, 4] by small roll and pitch angles [N, 2]."""
-  from_quat = transform.Rotation.from_quat
-  noise = transform.Rotation.from_rotvec(
-    np.column_stack([tilt, np.zeros(len(tilt))])
-  )
-  return (from_quat(quaternion, scalar_first=True) * noise).as_quat(
-    scalar_first=True
-  )

@@ -28,8 +28,8 @@ _BLOCK_EDGE = (0.2, 0.42)
 _BLOCK_SHARE = (0.0, 1.0)  # Of the height that the mode is made for.
 _BLOCK_GAP = (-0.2, 0.3)
 # Of a gait, metres.
-_STEP_DISTANCE = (0.15, 1.2)
-_STEP_RISE = (-0.2, 0.04)
+_LEDGE_DISTANCE = (0.15, 1.2)
+_LEDGE_RISE = (-0.2, 0.04)
 
 
 class Obstacles(NamedTuple):
@@ -53,9 +53,9 @@ class ObstacleSource:
   def __init__(self, mode_set: mode_set_lib.ModeSet):
     """Looks up what the modes can master."""
     motions, bank = mode_set.motions, mode_set.bank
-    steps = [motion.ledge for motion in motions]
-    self._stepping = np.array([step is not None for step in steps])
-    self._rises = np.array([step.height if step else 0.0 for step in steps])
+    ledges = [motion.ledge for motion in motions]
+    self._climbing = np.array([ledge is not None for ledge in ledges])
+    self._rises = np.array([ledge.height if ledge else 0.0 for ledge in ledges])
     self._lengths = bank.displacements[:, 0]
     self._forward = self._lengths > _FORWARD
     flights = np.array([_flight(motion) for motion in motions])
@@ -79,7 +79,7 @@ class ObstacleSource:
     count = len(modes)
     uniform = lambda bounds: random_state.uniform(bounds[0], bounds[1], count)
     gait = Obstacles(
-      ahead + uniform(_STEP_DISTANCE), uniform(_STEP_RISE), np.zeros(count)
+      ahead + uniform(_LEDGE_DISTANCE), uniform(_LEDGE_RISE), np.zeros(count)
     )
     width = uniform((_GAP_WIDTH[0], self._widest[modes]))
     cycle = np.maximum(random_state.randint(2, size=count), ahead > 0)
@@ -101,7 +101,7 @@ class ObstacleSource:
     nothing = Obstacles(
       np.full(count, np.inf), np.zeros(count), np.zeros(count)
     )
-    kinds = [self._stepping[modes], flying, walking]
+    kinds = [self._climbing[modes], flying, walking]
     return Obstacles(
       *(
         np.select(kinds, [a, b, c], d)
@@ -111,7 +111,7 @@ class ObstacleSource:
 
 
 def _flight(motion: motion_lib.ReferenceMotion) -> tuple[float, float]:
-  """From where to where it flies, metres ahead of the anchor; else nan."""
+  """Returns begin and end of its flight, metres ahead of the anchor, or nan."""
   if motion.contacts is None:
     return np.nan, np.nan
   airborne = np.flatnonzero(~motion.contacts.any(axis=1))

@@ -1,69 +1,72 @@
-"""The imitation reward (Eq. 3): pure functions with a leading batch axis."""
+"""The imitation reward, Eq. 3 of Krishna and Nguyen: pure, batched.
 
-from typing import NamedTuple
+    r = sum_o w_o exp(-k_o er_o)
+
+over the terms o of `RewardGains`: the position and the orientation of the base
+and the contacts of the feet, each against the reference.
+"""
+
+import dataclasses
+from typing import Any, Callable, Mapping, NamedTuple
 
 import numpy as np
+from pydantic import dataclasses as pydantic_dataclasses
 
-_CLEARANCE = 0.05  # Metres: as high as a swinging foot needs to be.
-
-
-class RewardGains(NamedTuple):
-  """Scaling gains w (Table I) and sensitivity gains k of Eq. 3."""
-
-  position_weight: float = 0.5
-  orientation_weight: float = 0.5
-  contact_weight: float = 0.0
-  position_sensitivity: float = 5.0  # 1/m
-  orientation_sensitivity: float = 5.0
-  contact_sensitivity: float = 2.0
-
-  @property
-  def highest(self) -> float:
-    """The reward of a perfect step: the sum of the weights."""
-    return self.position_weight + self.orientation_weight + self.contact_weight
+from dmc_multimode.modes import reference as reference_lib
+from dmc_multimode.utils import config
 
 
-class TrackingErrors(NamedTuple):
-  """How far the robot is from its reference, [B] each.
+class RobotState(NamedTuple):
+  """What errors are measured of, with a leading batch axis.
 
   Attributes:
-    position: distance of the base from its reference, metres.
-    orientation: 1 - <q, q_ref>^2, which is the squared sine of half the angle
-      between the two, as in the authors' released code.
-    contact: Euclidean distance of the binary contact states; 0 where the mode
-      prescribes none.
+    qpos: free joint (world position in metres, quaternion), then the joints in
+      radians, [B, 17].
+    qvel: free joint (world linear velocity in m/s, angular velocity in the
+      trunk frame in rad/s), then the joints in rad/s, [B, 16].
+    orientation: of the trunk relative to the commanded heading, unit
+      quaternions (w, x, y, z), [B, 4].
+    contact: feet on the ground (left, right), 0 or 1, [B, 2].
   """
 
-  position: np.ndarray
+  qpos: np.ndarray
+  qvel: np.ndarray
   orientation: np.ndarray
   contact: np.ndarray
 
 
-def tracking_errors(
-  position: np.ndarray,
-  orientation: np.ndarray,
-  contact: np.ndarray,
-  reference_position: np.ndarray,
-  reference_orientation: np.ndarray,
-  reference_contact: np.ndarray,
-  has_contact: np.ndarray,
-) -> TrackingErrors:
-  """Compares base poses and contacts with their references, in one frame.
+Error = Callable[[RobotState, reference_lib.Reference], np.ndarray]
 
-  Args:
-    position, reference_position: metres, [B, 3].
-    orientation, reference_orientation: unit quaternions (w, x, y, z), [B, 4].
-    contact, reference_contact: feet on the ground (left, right), [B, 2].
-    has_contact: whether the reference prescribes contacts, [B].
+
+def position_error(
+  robot: RobotState, reference: reference_lib.Reference
+) -> np.ndarray:
+  """Returns the distances of the bases from their references, metres, [B]."""
+  distance = robot.qpos[:, :3] - reference.position
+  return np.sqrt(_dot(distance, distance))
+
+
+def orientation_error(
+  robot: RobotState, reference: reference_lib.Reference
+) -> np.ndarray:
+  """Returns 1 - <q, q_ref>^2, [B], as in the authors' released code.
+
+  It is the squared sine of half the angle between the two.
   """
-  agreement = _dot(orientation, reference_orientation)
-  distance = position - reference_position
-  difference = contact - reference_contact
-  return TrackingErrors(
-    np.sqrt(_dot(distance, distance)),
-    1.0 - np.minimum(agreement**2, 1.0),
-    np.where(has_contact, np.sqrt(_dot(difference, difference)), 0.0),
-  )
+  agreement = _dot(robot.orientation, reference.orientation)
+  return 1.0 - np.minimum(agreement**2, 1.0)
+
+
+def contact_error(
+  robot: RobotState, reference: reference_lib.Reference
+) -> np.ndarray:
+  """Returns Euclidean distances of the binary contact states, [B].
+
+  It is 0 where the mode prescribes none.
+  """
+  difference = robot.contact - reference.contact
+  distance = np.sqrt(_dot(difference, difference))
+  return np.where(reference.has_contact, distance, 0.0)
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -71,48 +74,67 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
   return np.einsum('bi,bi->b', a, b)
 
 
-def reward_terms(
-  errors: TrackingErrors, gains: RewardGains
-) -> dict[str, np.ndarray]:
-  """Returns the weighted terms of Eq. 3 by name, [B] each; r is their sum."""
-  term = lambda weight, sensitivity, error: (
-    weight * np.exp(-sensitivity * error)
-  )
-  return {
-    'position': term(
-      gains.position_weight, gains.position_sensitivity, errors.position
-    ),
-    'orientation': term(
-      gains.orientation_weight,
-      gains.orientation_sensitivity,
-      errors.orientation,
-    ),
-    'contact': term(
-      gains.contact_weight, gains.contact_sensitivity, errors.contact
-    ),
-  }
+@pydantic_dataclasses.dataclass(frozen=True, config=config.STRICT)
+class Gain:
+  """The gains of one term of Eq. 3.
 
-
-def footing(
-  contact: np.ndarray,
-  clearance: np.ndarray,
-  reference_contact: np.ndarray,
-  has_contact: np.ndarray,
-) -> np.ndarray:
-  """How well feet do what their reference's do, in [0, 1], [B].
-
-  Not part of Eq. 3, whose contact term is flat between a foot that stands and
-  one in the air: here a foot that should swing is the better, the higher it is,
-  up to 5 cm. One that should stand is right in contact. The product of both
-  feet: a shuffle, which always has one of them right, is right in nothing.
-
-  Args:
-    contact, reference_contact: feet on the ground (left, right), 0 or 1,
-      [B, 2].
-    clearance: of the soles over the ground below, metres, [B, 2].
-    has_contact: whether the reference prescribes contacts, [B]; elsewhere feet
-      are always right.
+  Attributes:
+    weight: scaling gain w (Table I).
+    sensitivity: k, in one over the unit of the term's error.
   """
-  swing = np.clip(clearance / _CLEARANCE, 0.0, 1.0)
-  right = np.where(reference_contact > 0, contact, swing)
-  return np.where(has_contact, right.prod(axis=-1), 1.0)
+
+  weight: config.NonNegative
+  sensitivity: config.NonNegative
+
+
+def _term(error: Error, weight: float, sensitivity: float) -> Any:
+  """Declares a term of the reward: the field of `RewardGains` is its name."""
+  return dataclasses.field(
+    default=Gain(weight, sensitivity), metadata={'error': error}
+  )
+
+
+@pydantic_dataclasses.dataclass(frozen=True, config=config.STRICT)
+class RewardGains:
+  """The terms of Eq. 3, one a row: error er, weight w, sensitivity k."""
+
+  position: Gain = _term(position_error, 0.5, 5.0)  # k in 1/m.
+  orientation: Gain = _term(orientation_error, 0.5, 5.0)
+  contact: Gain = _term(contact_error, 0.0, 2.0)
+
+  @property
+  def highest(self) -> float:
+    """The reward of a perfect step: the sum of the weights."""
+    return float(sum(getattr(self, name).weight for name in ERRORS))
+
+  def with_weights(self, **weights: float) -> 'RewardGains':
+    """Returns these gains with other weights, by the names of their terms."""
+    changes = {
+      name: dataclasses.replace(getattr(self, name), weight=weight)
+      for name, weight in weights.items()
+    }
+    return dataclasses.replace(self, **changes)
+
+
+ERRORS: Mapping[str, Error] = {
+  field.name: field.metadata['error']
+  for field in dataclasses.fields(RewardGains)
+}
+
+
+def tracking_errors(
+  robot: RobotState, reference: reference_lib.Reference
+) -> dict[str, np.ndarray]:
+  """Returns the errors er_o of all terms by name, [B] each."""
+  return {name: error(robot, reference) for name, error in ERRORS.items()}
+
+
+def reward_terms(
+  errors: Mapping[str, np.ndarray], gains: RewardGains
+) -> dict[str, np.ndarray]:
+  """Returns the terms w exp(-k er) of Eq. 3 by name, [B]; r is their sum."""
+  return {
+    name: gain.weight * np.exp(-gain.sensitivity * error)
+    for name, error in errors.items()
+    for gain in (getattr(gains, name),)
+  }

@@ -6,15 +6,30 @@ never meets a bound on the reward; the bound on the distance from the reference
 is what it meets, and in a mode that turns on the spot that on the orientation.
 """
 
-from typing import NamedTuple
+import dataclasses
 
 import numpy as np
+import pydantic
+from pydantic import dataclasses as pydantic_dataclasses
 
-CAUSES = ('none', 'lost', 'reward', 'fallen', 'invalid', 'turned')  # By index.
-LOST, REWARD, FALLEN, INVALID, TURNED = range(1, len(CAUSES))
+# By index, which is kept in files.
+CAUSES = (
+  'none',
+  'position_error',
+  'low_reward',
+  'base_height',
+  'non_finite',
+  'orientation_error',
+)
+POSITION_ERROR, LOW_REWARD, BASE_HEIGHT, NON_FINITE, ORIENTATION_ERROR = range(
+  1, len(CAUSES)
+)
+# A limit that is not there is infinite.
+_STRICT = pydantic.ConfigDict(strict=True, extra='forbid')
 
 
-class TerminationLimits(NamedTuple):
+@pydantic_dataclasses.dataclass(frozen=True, config=_STRICT)
+class TerminationLimits:
   """Bounds whose crossing ends an episode.
 
   Attributes:
@@ -29,6 +44,10 @@ class TerminationLimits(NamedTuple):
   height: float = 0.22
   angle: float = 1.0
 
+  def __post_init__(self) -> None:
+    if any(np.isnan(value) for value in vars(self).values()):
+      raise ValueError(f'a limit must be a number, got {self}')
+
 
 # Nothing but a state that is not finite ends an episode with these.
 NO_LIMITS = TerminationLimits(np.inf, -np.inf, -np.inf, np.pi)
@@ -36,7 +55,9 @@ NO_LIMITS = TerminationLimits(np.inf, -np.inf, -np.inf, np.pi)
 
 def falls_alone(limits: TerminationLimits) -> TerminationLimits:
   """Returns limits that forgive a robot everything but to fall."""
-  return limits._replace(distance=np.inf, reward=-np.inf, angle=np.pi)
+  return dataclasses.replace(
+    limits, distance=np.inf, reward=-np.inf, angle=np.pi
+  )
 
 
 def termination_cause(
@@ -46,6 +67,7 @@ def termination_cause(
   height: np.ndarray,
   finite: np.ndarray,
   limits: TerminationLimits,
+  distance_slack: float = 0.0,
 ) -> np.ndarray:
   """Returns why each world terminates, as an index into `CAUSES`, [B].
 
@@ -56,12 +78,13 @@ def termination_cause(
     height: of the trunk over its support, metres, [B].
     finite: whether the state is finite, [B].
     limits: the bounds.
+    distance_slack: what is added to that on the distance, metres.
   """
   cause = np.zeros(len(distance), dtype=np.int8)
   # The last assignment wins, so the most telling cause comes last.
-  cause[reward < limits.reward] = REWARD
-  cause[orientation > np.sin(limits.angle / 2) ** 2] = TURNED
-  cause[distance > limits.distance] = LOST
-  cause[height < limits.height] = FALLEN
-  cause[~finite] = INVALID
+  cause[reward < limits.reward] = LOW_REWARD
+  cause[orientation > np.sin(limits.angle / 2) ** 2] = ORIENTATION_ERROR
+  cause[distance > limits.distance + distance_slack] = POSITION_ERROR
+  cause[height < limits.height] = BASE_HEIGHT
+  cause[~finite] = NON_FINITE
   return cause

@@ -17,6 +17,7 @@ from dmc_multimode.arenas import track as track_lib
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.suite.imitation import config as config_lib
+from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import terminations
 
 _NEAR_X, _NEAR_Z = 0.3, 0.12  # Metres from the goal that count as there.
@@ -162,7 +163,8 @@ def task_config(
   task = policy.config
   duration = reaching.knots * reaching.knot_duration
   return dataclasses.replace(
-    config_lib.for_evaluation(task),
+    task,
+    events=events.NONE,
     limits=terminations.falls_alone(task.limits),
     time_limit=max(duration, task.control_timestep),
   )

@@ -230,7 +230,7 @@ def test_learns(name: str) -> None:
   first = _first_action(learner, seen)
   assert first.shape == (5, 10)
   if name in learners.ALIKE:
-    standing = mini_biped.standing_action(learner.environment.model)
+    standing = mini_biped.standing_action(learner.environment.physics.model)
     np.testing.assert_allclose(first[0], standing, atol=1e-6)
   with learners.timing(learner.update) as spent:
     learner.iterate()

@@ -10,12 +10,11 @@ from benchmarks.paper import hard_switch
 from dmc_multimode import pretrained
 from dmc_multimode.modes import library
 from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.suite.imitation import events
 from tests.bin import processes
 from tests.bin import untrained
 
-_CONFIG = task_config.ImitationConfig(
-  time_limit=0.3, reference_starts=0.0, edge_noise=0.0
-)
+_CONFIG = task_config.ImitationConfig(time_limit=0.3, events=events.NONE)
 _SETS = {'both': ('walk_forward', 'launch'), 'one': ('walk_forward',)}
 
 

@@ -12,12 +12,12 @@ from benchmarks.reliability import robustness_cases
 from dmc_multimode import pretrained
 from dmc_multimode.modes import schedule
 from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.suite.imitation import events
+from dmc_multimode.utils import schedule as schedules
 from tests.bin import processes
 from tests.bin import untrained
 
-_CONFIG = task_config.ImitationConfig(
-  time_limit=0.3, reference_starts=0.0, edge_noise=0.0
-)
+_CONFIG = task_config.ImitationConfig(time_limit=0.3, events=events.NONE)
 
 
 @pytest.fixture(scope='module')
@@ -38,8 +38,10 @@ def _worlds(
 
 
 def test_masses_and_friction(folder: pathlib.Path) -> None:
-  plain = _worlds(folder, robustness_cases.Case()).model
-  other = _worlds(folder, robustness_cases.Case(mass=1.1, friction=0.9)).model
+  plain = _worlds(folder, robustness_cases.Case()).physics.model
+  other = _worlds(
+    folder, robustness_cases.Case(mass=1.1, friction=0.9)
+  ).physics.model
   total = mujoco.mj_getTotalmass(plain)
   assert mujoco.mj_getTotalmass(other) == pytest.approx(1.1 * total)
   np.testing.assert_allclose(other.body_inertia, 1.1 * plain.body_inertia)
@@ -100,7 +102,14 @@ def test_obstacles(folder: pathlib.Path) -> None:
     schedule.single(np.full(3, 1)),
     robustness_cases.Case(obstacles=1.0),
   )
-  trained = dataclasses.replace(_CONFIG, obstacles=0.4, obstacles_start=10**6)
+  trained = dataclasses.replace(
+    _CONFIG,
+    events=events.TrainingEvents(
+      reference_starts=0.0,
+      edge_noise=0.0,
+      obstacles=schedules.Schedule(0.0, 0.4, 10**6, 10**6),
+    ),
+  )
   worlds = robustness_cases.Worlds(
     case, pretrained.load(folder), plan, trained, 0
   )

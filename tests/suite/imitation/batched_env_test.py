@@ -26,10 +26,12 @@ from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import composer_task
 from dmc_multimode.suite.imitation import config
 from dmc_multimode.suite.imitation import episodes
+from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.suite.imitation import privileged
 from dmc_multimode.suite.imitation import rewards
 from dmc_multimode.suite.imitation import terminations
+from dmc_multimode.utils import schedule as schedules
 
 _MOTIONS = tuple(library.modes().values())
 _MODE_SET = mode_set.one_hot(_MOTIONS)
@@ -38,12 +40,27 @@ _TOLERANCE = 1e-9
 _FLOAT32 = 1e-6  # Of the float32 observations, of which many are about 1.
 _STEPS = 30
 _SWITCHES = (0.0, 0.36, 0.66)  # Seconds.
-_GAINS = rewards.RewardGains(0.35, 0.35, 0.3)
+_GAINS = rewards.RewardGains().with_weights(
+  position=0.35, orientation=0.35, contact=0.3
+)
 _ENDLESS = config.ImitationConfig(
   gains=_GAINS,
   limits=terminations.NO_LIMITS,
 )
 _ENDING = config.ImitationConfig(gains=_GAINS)
+
+
+def _replace(
+  task_config: config.ImitationConfig, **changes: Any
+) -> config.ImitationConfig:
+  """Returns a configuration with changed fields, those of its events too."""
+  names = {field.name for field in dataclasses.fields(events.TrainingEvents)}
+  scheduled = {name: changes.pop(name) for name in names & set(changes)}
+  return dataclasses.replace(
+    task_config,
+    events=dataclasses.replace(task_config.events, **scheduled),
+    **changes,
+  )
 
 
 def _schedule(first: int) -> schedule.ModeSchedule:
@@ -111,7 +128,7 @@ class ParityTest(parameterized.TestCase):
         np.testing.assert_allclose(mine, theirs, atol=_TOLERANCE)
       np.testing.assert_allclose(  # The boxes.
         env.physics.data.mocap_pos,
-        worlds.batch.bind('mocap_pos')[0],
+        worlds.physics.batch.bind('mocap_pos')[0],
         atol=_TOLERANCE,
         err_msg=message,
       )
@@ -144,9 +161,7 @@ class ParityTest(parameterized.TestCase):
     self, task_config: config.ImitationConfig, share: float
   ) -> None:
     """Drawn at the start, which may be anywhere in a mode, and at switches."""
-    task_config = dataclasses.replace(
-      task_config, obstacles=share, reference_starts=0.5
-    )
+    task_config = _replace(task_config, obstacles=share, reference_starts=0.5)
     env = multimode_biped.make_environment(_task('flat', task_config), 0, None)
     met, lengths = [], []
     for mode in range(len(_MOTIONS)):
@@ -163,13 +178,13 @@ class ParityTest(parameterized.TestCase):
       self.assertLess(np.median(lengths), _STEPS)
 
   def test_time_limit(self) -> None:
-    task_config = dataclasses.replace(_ENDLESS, time_limit=0.45)
+    task_config = _replace(_ENDLESS, time_limit=0.45)
     env = multimode_biped.make_environment(_task('flat', task_config), 0, None)
     self.assertEqual(self._drive(env, 0)[0], 15)
 
   def test_first_step_has_all_of_eq_2(self) -> None:
     """dm_control resets without actuation; the damping must not be missing."""
-    task_config = dataclasses.replace(_ENDLESS, velocity_noise=3.0)
+    task_config = _replace(_ENDLESS, velocity_noise=3.0)
     env = multimode_biped.make_environment(_task('flat', task_config), 0, None)
     self._drive(env, 0)
 
@@ -235,7 +250,7 @@ class ManyWorldsTest(parameterized.TestCase):
     """Each of several worlds runs as it would alone."""
     count, steps = 5, 40
     # Steps are placed with noise from a generator that worlds share.
-    task = _transitions(dataclasses.replace(_ENDLESS, edge_noise=0.0))
+    task = _transitions(_replace(_ENDLESS, edge_noise=0.0))
     kwargs = {'auto_reset': False, 'privileged': True}
     many = batched_env.BatchedImitation(task, count, 0, 2, **kwargs)
     many.reset()
@@ -303,7 +318,9 @@ class AutoResetTest(parameterized.TestCase):
 
   def test_results(self) -> None:
     """Returns are sums of rewards over horizon times the weights' sum."""
-    gains = rewards.RewardGains(0.2, 0.3, 0.1)
+    gains = rewards.RewardGains().with_weights(
+      position=0.2, orientation=0.3, contact=0.1
+    )
     task_config = config.ImitationConfig(
       gains=gains,
       time_limit=0.9,
@@ -343,7 +360,7 @@ class AutoResetTest(parameterized.TestCase):
 
   def test_without_it_only_the_first_end_counts(self) -> None:
     worlds = batched_env.BatchedImitation(
-      _transitions(dataclasses.replace(_ENDING, time_limit=0.6)),
+      _transitions(_replace(_ENDING, time_limit=0.6)),
       4,
       0,
       1,
@@ -360,7 +377,7 @@ class StateTest(parameterized.TestCase):
   def test_restored_worlds_go_on_bit_for_bit(
     self, more: bool, obstacles: float
   ) -> None:
-    task = _transitions(dataclasses.replace(_ENDING, obstacles=obstacles))
+    task = _transitions(_replace(_ENDING, obstacles=obstacles))
     worlds = batched_env.BatchedImitation(task, 8, 0, 2, privileged=more)
     worlds.reset()
     seen = _rollout(worlds, 25)[-1].observation
@@ -370,7 +387,7 @@ class StateTest(parameterized.TestCase):
     for name, value in state.items():
       np.testing.assert_array_equal(value, copies[name], err_msg=name)
     # Its episodes are its own.
-    task = _transitions(dataclasses.replace(_ENDING, obstacles=obstacles))
+    task = _transitions(_replace(_ENDING, obstacles=obstacles))
     other = batched_env.BatchedImitation(task, 8, 99, 1, privileged=more)
     other.reset()
     observation = other.restore(state)
@@ -383,7 +400,7 @@ class StateTest(parameterized.TestCase):
 
   def test_step_that_is_expected_is_in_it(self) -> None:
     """Without it, references would be elsewhere over blocks."""
-    task = _transitions(dataclasses.replace(_ENDLESS, obstacles=1.0))
+    task = _transitions(_replace(_ENDLESS, obstacles=1.0))
     worlds, other = (
       batched_env.BatchedImitation(task, 16, seed, 1, privileged=True)
       for seed in (0, 1)
@@ -463,13 +480,15 @@ class CommandTest(parameterized.TestCase):
       each.command(np.array([0, 1, _LAUNCH, 0]))
       seen = self._rest(each, 5)
     sources = np.array([2, 0, 1, 2])
-    np.testing.assert_array_equal(worlds.take(sources), seen[sources])
+    np.testing.assert_array_equal(worlds.copy_state(sources), seen[sources])
     # The block comes along: half a second later the robots are as the sources.
     np.testing.assert_array_equal(
       self._rest(worlds, 15), self._rest(other, 15)[sources]
     )
-    boxes = worlds.batch.bind('mocap_pos')
-    np.testing.assert_array_equal(boxes, other.batch.bind('mocap_pos')[sources])
+    boxes = worlds.physics.batch.bind('mocap_pos')
+    np.testing.assert_array_equal(
+      boxes, other.physics.batch.bind('mocap_pos')[sources]
+    )
 
 
 class SchedulesTest(parameterized.TestCase):
@@ -477,7 +496,7 @@ class SchedulesTest(parameterized.TestCase):
 
   def _worlds(self, **changes: Any) -> batched_env.BatchedImitation:
     """Eight robots that launch themselves from rest."""
-    task_config = dataclasses.replace(_ENDLESS, reference_starts=0.0, **changes)
+    task_config = _replace(_ENDLESS, reference_starts=0.0, **changes)
     task = multimode_biped.make_task(
       _MODE_SET,
       episodes.ScheduledEpisodes(schedule.single(np.array([_LAUNCH]))),
@@ -493,30 +512,36 @@ class SchedulesTest(parameterized.TestCase):
     return worlds.step(np.tile(worlds.standing_action(), (8, 1)))
 
   def test_bound_tightens(self) -> None:
-    limits = _ENDLESS.limits._replace(distance=1.0)
-    worlds = self._worlds(limits=limits, early_distance=2.0, tighten_steps=40)
+    limits = dataclasses.replace(_ENDLESS.limits, distance=1.0)
+    worlds = self._worlds(
+      limits=limits, distance_slack=schedules.Schedule(1.0, 0.0, 0, 40)
+    )
     bounds = []
     for _ in range(6):
       self._step(worlds)
-      bounds.append(worlds.core.limits.distance)
+      bounds.append(1.0 + worlds.core.distance_slack)
     # After 8, 16, 24, ... control steps of all worlds.
     np.testing.assert_allclose(bounds, [1.8, 1.6, 1.4, 1.2, 1.0, 1.0])
 
   def test_obstacles_begin(self) -> None:
     """Episodes of 2 steps begin after 16, 32, ... control steps."""
-    worlds = self._worlds(obstacles=0.5, obstacles_start=40, time_limit=0.06)
-    shares, low = [worlds.core.obstacle_share], []
+    worlds = self._worlds(
+      obstacles=schedules.Schedule(0.0, 0.5, 40, 40), time_limit=0.06
+    )
+    shares, low = [worlds.core.terrain_events.obstacle_share], []
     for _ in range(8):
       self._step(worlds)
-      shares.append(worlds.core.obstacle_share)
+      shares.append(worlds.core.terrain_events.obstacle_share)
       low.append(bool(np.any(worlds.core.terrain.tops[:, 1] < 0.4)))
     # After 0, 8, 16, ... control steps of all worlds.
     self.assertEqual(shares, [0.0] * 5 + [0.5] * 4)
     self.assertEqual(low, [False] * 5 + [True] * 3)
-    other = self._worlds(obstacles=0.5, obstacles_start=40, time_limit=0.06)
-    self.assertEqual(other.core.obstacle_share, 0.0)
+    other = self._worlds(
+      obstacles=schedules.Schedule(0.0, 0.5, 40, 40), time_limit=0.06
+    )
+    self.assertEqual(other.core.terrain_events.obstacle_share, 0.0)
     other.restore(worlds.state())
-    self.assertEqual(other.core.obstacle_share, 0.5)
+    self.assertEqual(other.core.terrain_events.obstacle_share, 0.5)
 
   def test_obstacles_may_be_there_from_the_start(self) -> None:
     worlds = self._worlds(obstacles=1.0)
@@ -524,12 +549,9 @@ class SchedulesTest(parameterized.TestCase):
 
   def test_no_obstacle_before_their_time(self) -> None:
     """Worlds run as they do without any."""
-    changes: list[dict[str, Any]] = [{}, {'obstacles_start': 10**6}]
     rollouts = []
-    for share, change in zip((0.0, 1.0), changes, strict=True):
-      task = _transitions(
-        dataclasses.replace(_ENDING, obstacles=share, **change)
-      )
+    for share in (0.0, schedules.Schedule(0.0, 1.0, 10**6, 10**6)):
+      task = _transitions(_replace(_ENDING, obstacles=share))
       worlds = batched_env.BatchedImitation(task, 8, 0, 1, privileged=True)
       worlds.reset()
       rollouts.append(_rollout(worlds, 40))
@@ -537,9 +559,7 @@ class SchedulesTest(parameterized.TestCase):
     _assert_same(*rollouts)
 
   def test_no_obstacle_in_evaluations(self) -> None:
-    evaluated = config.for_evaluation(
-      dataclasses.replace(_ENDING, obstacles=1.0)
-    )
+    evaluated = _replace(_ENDING, events=events.NONE)
     worlds = batched_env.BatchedImitation(_transitions(evaluated), 16, 0, 1)
     worlds.reset()
     for _ in range(4):
@@ -554,16 +574,18 @@ class SchedulesTest(parameterized.TestCase):
       )
 
   def test_boxes_are_where_the_ground_is(self) -> None:
-    task = _transitions(dataclasses.replace(_ENDLESS, obstacles=0.8))
+    task = _transitions(_replace(_ENDLESS, obstacles=0.8))
     worlds = batched_env.BatchedImitation(task, 16, 0, 1, auto_reset=False)
     worlds.reset()
-    boxes = worlds.batch.bind('mocap_pos')
-    sizes = worlds.batch.expand('geom_size')
+    boxes = worlds.physics.batch.bind('mocap_pos')
+    sizes = worlds.physics.batch.expand('geom_size')
     geoms = [
-      worlds.model.geom(geom.full_identifier).id
+      worlds.physics.model.geom(geom.full_identifier).id
       for geom in task.root_entity.ground_geoms
     ]
-    bodies = worlds.model.body_mocapid[worlds.model.geom_bodyid[geoms]]
+    bodies = worlds.physics.model.body_mocapid[
+      worlds.physics.model.geom_bodyid[geoms]
+    ]
     seen = []
     for _ in range(20):
       centres, halves = terrain.boxes(worlds.core.terrain)
@@ -594,10 +616,10 @@ class SchedulesTest(parameterized.TestCase):
 
   def test_pushes_come_once_in_an_interval(self) -> None:
     worlds = self._worlds(push_speed=1e-6, push_interval=0.3)
-    counts, state = np.zeros(8), worlds.batch.state
+    counts, state = np.zeros(8), worlds.physics.batch.state
     plain = self._worlds()
     for _ in range(200):
-      plain.batch.state[:] = state
+      plain.physics.state[:] = state
       self._step(worlds)
       self._step(plain)
       counts += (worlds.qvel[:, :2] != plain.qvel[:, :2]).any(axis=1)
@@ -607,7 +629,7 @@ class SchedulesTest(parameterized.TestCase):
   @parameterized.parameters(1.0, 0.25, 0.0)
   def test_help_at_take_off(self, share: float) -> None:
     """Phases are 0.03 / 1.1 apart: the take-off at 0.42 is in step 16."""
-    worlds, alone = self._worlds(assist_steps=1000), self._worlds()
+    worlds, alone = self._worlds(assistance_steps=1000), self._worlds()
     worlds.assistance.share = share
     for _ in range(15):
       self._step(worlds)
@@ -631,8 +653,8 @@ class SchedulesTest(parameterized.TestCase):
   def test_help_fades_when_they_survive(
     self, height: float, share: float
   ) -> None:
-    limits = _ENDLESS.limits._replace(height=height)
-    worlds = self._worlds(time_limit=0.06, limits=limits, assist_steps=80)
+    limits = dataclasses.replace(_ENDLESS.limits, height=height)
+    worlds = self._worlds(time_limit=0.06, limits=limits, assistance_steps=80)
     for _ in range(60):
       self._step(worlds)
     self.assertEqual(worlds.assistance.share, share)
@@ -674,19 +696,18 @@ class SchedulesTest(parameterized.TestCase):
     )
 
   def test_goes_on_where_it_was(self) -> None:
-    limits = _ENDLESS.limits._replace(distance=1.0)
+    limits = dataclasses.replace(_ENDLESS.limits, distance=1.0)
     changes: dict[str, Any] = {
       'limits': limits,
-      'early_distance': 2.0,
-      'tighten_steps': 400,
-      'assist_steps': 400,
+      'distance_slack': schedules.Schedule(1.0, 0.0, 0, 400),
+      'assistance_steps': 400,
     }
     worlds, other = self._worlds(**changes), self._worlds(**changes)
     survived = np.ones(500, dtype=bool)
     worlds.assistance.update(np.full(500, _LAUNCH), survived)
     _rollout(worlds, 10)
     other.restore(worlds.state())
-    self.assertAlmostEqual(other.core.limits.distance, 1.8)
+    self.assertAlmostEqual(other.core.distance_slack, 0.8)
     _assert_same(_rollout(worlds, 10), _rollout(other, 10))
     self.assertAlmostEqual(worlds.assistance.share, 0.6)
     self.assertEqual(other.assistance.share, worlds.assistance.share)
@@ -704,7 +725,7 @@ class DivergenceTest(parameterized.TestCase):
   @parameterized.parameters('_poison_position', '_poison_velocity')
   def test_it_is_invalid(self, poison: str) -> None:
     task = _transitions()
-    task.config = dataclasses.replace(task.config, contact_bonus=0.2)
+    task.config = _replace(task.config, contact_bonus=0.2)
     sick, healthy = (
       batched_env.BatchedImitation(task, 5, 0, 2, privileged=True)
       for _ in range(2)
@@ -717,7 +738,7 @@ class DivergenceTest(parameterized.TestCase):
     apply(sick)
     action = np.tile(sick.standing_action(), (5, 1))
     step, other = sick.step(action), healthy.step(action)
-    self.assertEqual(terminations.CAUSES[step.results.causes[0]], 'invalid')
+    self.assertEqual(terminations.CAUSES[step.results.causes[0]], 'non_finite')
     np.testing.assert_array_equal(step.results.worlds, [2])
     np.testing.assert_array_equal(step.last, [False, False, True, False, False])
     np.testing.assert_array_equal(step.discount, [1, 1, 0, 1, 1])
@@ -774,7 +795,7 @@ class PrivilegedTest(parameterized.TestCase):
   @parameterized.parameters(0.0, 1.0)
   def test_position_error_and_contact(self, obstacles: float) -> None:
     """In every step and in every world, also right after a reset."""
-    task = _transitions(dataclasses.replace(_ENDING, obstacles=obstacles))
+    task = _transitions(_replace(_ENDING, obstacles=obstacles))
     worlds = batched_env.BatchedImitation(task, 8, 0, 1, privileged=True)
     observation, touched = worlds.reset(), np.zeros((8, 2))
     random, stand = np.random.RandomState(0), worlds.standing_action()
@@ -797,7 +818,7 @@ class PrivilegedTest(parameterized.TestCase):
     self.assertBetween(np.mean(contacts), 0.1, 0.9)
 
   def test_contact_at_the_end_is_that_of_the_last_step(self) -> None:
-    limit = dataclasses.replace(_ENDLESS, time_limit=0.3)
+    limit = _replace(_ENDLESS, time_limit=0.3)
     worlds = batched_env.BatchedImitation(
       _transitions(limit), 8, 0, 1, privileged=True
     )
@@ -877,7 +898,7 @@ class PrivilegedTest(parameterized.TestCase):
     task = multimode_biped.make_task(
       _MODE_SET,
       episodes.ScheduledEpisodes(plan),
-      config=dataclasses.replace(_ENDLESS, time_limit=0.3),
+      config=_replace(_ENDLESS, time_limit=0.3),
     )
     worlds = batched_env.BatchedImitation(task, 2, 0, 1, privileged=True)
     first = _privileged_parts(worlds.reset())
@@ -903,7 +924,7 @@ class ModelTest(parameterized.TestCase):
     self.whole = mujoco.MjModel.from_xml_string(
       root.to_xml_string(), root.get_assets()
     )
-    self.model = batched_env.BatchedImitation(task, 1, 0, 1).model
+    self.model = batched_env.BatchedImitation(task, 1, 0, 1).physics.model
 
   def _colliding(self, model: mujoco.MjModel) -> list[str]:
     collides = model.geom_contype | model.geom_conaffinity
@@ -952,7 +973,7 @@ class SpecTest(parameterized.TestCase):
     worlds.step(actions)
     np.testing.assert_array_equal(actions, np.full((2, 10), 50.0))
     np.testing.assert_allclose(
-      worlds.batch.bind('ctrl'), np.full((2, 10), np.pi), atol=1e-5
+      worlds.physics.batch.bind('ctrl'), np.full((2, 10), np.pi), atol=1e-5
     )
 
 

@@ -124,7 +124,7 @@ class CommandTest(parameterized.TestCase):
     taken = []
     for _ in range(steps):
       tracker.advance()
-      ids, modes = tracker.due()
+      ids, modes = tracker.pop_due_commands()
       taken += modes.tolist()
       tracker.command(
         ids, modes, np.tile([5.0, 6.0, 0.4], (len(ids), 1)), 0.2 + 0.0 * ids
@@ -189,7 +189,7 @@ class CommandTest(parameterized.TestCase):
     left = np.full(count, np.nan)
     for _ in range(40):
       tracker.advance()
-      ids, modes = tracker.due()
+      ids, modes = tracker.pop_due_commands()
       left[ids] = tracker.state.phase[ids]
       tracker.command(ids, modes, np.zeros((len(ids), 3)), 0.0 * ids)
     # To half a control step.
@@ -209,7 +209,7 @@ class ExpectedSupportTest(parameterized.TestCase):
       np.zeros(3),
       np.array([0.0, 0.1, 0.2]),
     )
-    tracker.expect_step(np.array([1, 2]), np.array([0.25, np.inf]), 0.4)
+    tracker.expect_ledge(np.array([1, 2]), np.array([0.25, np.inf]), 0.4)
     return tracker
 
   @parameterized.parameters(
@@ -253,7 +253,7 @@ class ExpectedSupportTest(parameterized.TestCase):
     tracker = self._expecting()
     for _ in range(9):
       tracker.advance()
-      self.assertEmpty(tracker.due()[0])
+      self.assertEmpty(tracker.pop_due_commands()[0])
     np.testing.assert_array_equal(tracker.state.edge, [np.inf, 0.25, np.inf])
     self.assertEqual(tracker.expected_support(np.full(3, 0.3))[1], 0.5)
 
@@ -270,7 +270,7 @@ class UpcomingTest(parameterized.TestCase):
 
   def _step(self, tracker: commands.ModeTracker) -> None:
     tracker.advance()
-    ids, modes = tracker.due()
+    ids, modes = tracker.pop_due_commands()
     tracker.command(ids, modes, np.zeros((len(ids), 3)), np.zeros(len(ids)))
 
   def test_counts_down_from_command_to_command(self) -> None:
@@ -438,7 +438,7 @@ class ResetTest(parameterized.TestCase):
     tracker.reset(_FIRST, plan, np.zeros(1), np.zeros(1))
     for _ in range(5):
       tracker.advance()
-      self.assertEmpty(tracker.due()[0])
+      self.assertEmpty(tracker.pop_due_commands()[0])
 
   def test_start_pose_is_the_reference_with_its_velocity(self) -> None:
     tracker = _started([_GO], phase=0.5, support=0.2, clock_rate=1.5)

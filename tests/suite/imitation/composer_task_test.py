@@ -15,13 +15,15 @@ from dmc_multimode.modes import schedule
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import config
 from dmc_multimode.suite.imitation import episodes
+from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.walkers import mini_biped
 
 _MODES = tuple(library.modes())
 _MOVING = tuple(name for name in _MODES if name != 'idle')
 _CALM = dataclasses.replace(
-  config.for_evaluation(config.ImitationConfig()),
+  config.ImitationConfig(),
+  events=events.NONE,
   joint_noise=0.0,
   velocity_noise=0.0,
   tilt_noise=0.0,
@@ -154,7 +156,7 @@ class EndOfEpisodeTest(parameterized.TestCase):
       self.assertIn(time_step.discount, (None, 1.0))
       time_step = env.step(_standing_action(env))
     self.assertEqual(time_step.discount, 0.0)
-    self.assertEqual(env.task.termination_cause, 'lost')
+    self.assertEqual(env.task.termination_cause, 'position_error')
     # 0.35 m at 0.6 m/s in steps of 0.03 s: 19.4.
     self.assertEqual(env.task.core.tracker.state.step[0], 20)
 
@@ -180,7 +182,7 @@ class EndOfEpisodeTest(parameterized.TestCase):
     time_step = env.reset()
     while not time_step.last():
       time_step = env.step(np.full(10, -1.5))
-    self.assertEqual(env.task.termination_cause, 'fallen')
+    self.assertEqual(env.task.termination_cause, 'base_height')
     self.assertEqual(time_step.discount, 0.0)
 
 
@@ -188,7 +190,11 @@ class TerrainTest(parameterized.TestCase):
   @parameterized.parameters(0.0, 0.04)
   def test_launch_finds_its_block(self, noise: float) -> None:
     env = _env(
-      ['launch'], task_config=dataclasses.replace(_CALM, edge_noise=noise)
+      ['launch'],
+      task_config=dataclasses.replace(
+        _CALM,
+        events=dataclasses.replace(events.NONE, edge_noise=noise),
+      ),
     )
     edges = []
     for _ in range(6):
@@ -241,7 +247,11 @@ class ResetTest(parameterized.TestCase):
   ) -> None:
     """Whatever the phase, no foot begins deep inside a block."""
     env = _env(
-      [mode], task_config=dataclasses.replace(_CALM, reference_starts=1.0)
+      [mode],
+      task_config=dataclasses.replace(
+        _CALM,
+        events=dataclasses.replace(events.NONE, reference_starts=1.0),
+      ),
     )
     for _ in range(20):
       time_step = env.reset()

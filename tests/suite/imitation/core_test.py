@@ -23,7 +23,9 @@ from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import config
 from dmc_multimode.suite.imitation import core as imitation_core
 from dmc_multimode.suite.imitation import episodes
+from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import obstacles
+from dmc_multimode.utils import schedule as schedules
 from dmc_multimode.walkers import kinematics
 from dmc_multimode.walkers import mini_biped
 
@@ -44,10 +46,11 @@ class _Starts:
   """
 
   def __init__(self, reference_starts: float, obstacle_share: float):
-    task_config = dataclasses.replace(
-      config.ImitationConfig(),
-      reference_starts=reference_starts,
-      obstacles=obstacle_share,
+    task_config = config.ImitationConfig(
+      events=events.TrainingEvents(
+        reference_starts=reference_starts,
+        obstacles=schedules.constant(obstacle_share),
+      ),
       joint_noise=0.0,
       velocity_noise=0.0,
       tilt_noise=0.0,
@@ -67,7 +70,7 @@ class _Starts:
     self._measure_feet()
 
   def _measure_feet(self) -> None:
-    model = self.worlds.model
+    model = self.worlds.physics.model
     data = mujoco.MjData(model)
     shape = (len(self.modes), 2)
     self.gaps, self.speeds = np.zeros((*shape, 8)), np.zeros((*shape, 6))
@@ -315,7 +318,7 @@ def _begun(
   On adaptive terrain they begin on level ground, which the segments replace.
   """
   task_config = config.ImitationConfig(
-    **{'reference_starts': 0.0, 'edge_noise': 0.0, **changes}
+    events=dataclasses.replace(events.NONE, **changes)
   )
   count = len(names)
   core = imitation_core.ImitationCore(
@@ -545,7 +548,7 @@ class RidingTest(parameterized.TestCase):
       outcome.reference.position[:, 2], [0.5, 0.4, 0.4]
     )
     expected = np.hypot([0.2, 0.3, 0.3], [0.0, 0.1, 0.0])
-    np.testing.assert_allclose(outcome.errors.position, expected)
+    np.testing.assert_allclose(outcome.errors['position'], expected)
 
   @parameterized.parameters(0.0, 0.2)
   def test_launch_onto_its_own_block(self, obstacle_share: float) -> None:

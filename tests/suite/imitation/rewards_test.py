@@ -1,145 +1,102 @@
-"""Tests of dmc_multimode.suite.rewards: Eq. 3 by hand."""
+"""Tests of dmc_multimode.suite.imitation.rewards: Eq. 3 by hand."""
 
-from absl.testing import absltest
-from absl.testing import parameterized
+import dataclasses
+from typing import Any
+
 import numpy as np
+import pytest
 
+from dmc_multimode.modes import reference
 from dmc_multimode.suite.imitation import rewards
 
-_UPRIGHT = np.array([[1.0, 0.0, 0.0, 0.0]])
+_UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 
 
-def _yawed(degrees: float) -> np.ndarray:
+def _yawed(degrees: float) -> tuple[float, ...]:
   half = np.radians(degrees) / 2
-  return np.array([[np.cos(half), 0.0, 0.0, np.sin(half)]])
+  return (np.cos(half), 0.0, 0.0, np.sin(half))
 
 
 def _errors(
   position: tuple[float, ...] = (0.0, 0.0, 0.0),
-  orientation: np.ndarray = _UPRIGHT,
+  orientation: tuple[float, ...] = _UPRIGHT,
   contact: tuple[float, ...] = (0.0, 0.0),
   has_contact: bool = True,
-) -> rewards.TrackingErrors:
+) -> dict[str, np.ndarray]:
   """Errors from a reference at the origin, upright, with no contact."""
-  return rewards.tracking_errors(
-    np.array([position]),
-    orientation,
+  robot = rewards.RobotState(
+    np.array([[*position, *_UPRIGHT, *[0.0] * 10]]),
+    np.zeros((1, 16)),
+    np.array([orientation]),
     np.array([contact]),
-    np.zeros((1, 3)),
-    _UPRIGHT,
-    np.zeros((1, 2)),
-    np.array([has_contact]),
   )
-
-
-class TrackingErrorsTest(parameterized.TestCase):
-  def test_position_is_the_distance(self) -> None:
-    np.testing.assert_allclose(_errors((0.3, 0.0, -0.4)).position, [0.5])
-
-  @parameterized.parameters(
-    (0, 0.0), (60, 0.25), (-60, 0.25), (90, 0.5), (180, 1.0), (360, 0.0)
-  )
-  def test_orientation_is_squared_sine_of_half_the_angle(
-    self, degrees: float, expected: float
-  ) -> None:
-    error = _errors(orientation=_yawed(degrees)).orientation
-    np.testing.assert_allclose(error, [expected], atol=1e-12)
-
-  def test_both_signs_of_a_quaternion_are_one_orientation(self) -> None:
-    np.testing.assert_array_equal(
-      _errors(orientation=_yawed(50)).orientation,
-      _errors(orientation=-_yawed(50)).orientation,
-    )
-
-  def test_rounding_gives_no_negative_error(self) -> None:
-    error = _errors(orientation=_UPRIGHT * (1 + 1e-9)).orientation
-    np.testing.assert_array_equal(error, [0.0])
-
-  @parameterized.parameters(
-    ((0.0, 0.0), True, 0.0),
-    ((1.0, 0.0), True, 1.0),
-    ((1.0, 1.0), True, 2**0.5),
-    ((1.0, 1.0), False, 0.0),
-  )
-  def test_contact(
-    self, contact: tuple[float, float], has_contact: bool, expected: float
-  ) -> None:
-    error = _errors(contact=contact, has_contact=has_contact).contact
-    np.testing.assert_allclose(error, [expected])
-
-
-class RewardTermsTest(parameterized.TestCase):
-  def test_by_hand(self) -> None:
-    errors = rewards.TrackingErrors(
-      np.array([0.0, 0.2]), np.array([0.0, 0.25]), np.array([0.0, 1.0])
-    )
-    gains = rewards.RewardGains(0.35, 0.35, 0.3)
-    terms = rewards.reward_terms(errors, gains)
-    # exp(-1), exp(-1.25) and exp(-2) times the weights.
-    np.testing.assert_allclose(terms['position'], [0.35, 0.128758], rtol=1e-5)
-    np.testing.assert_allclose(
-      terms['orientation'], [0.35, 0.100277], rtol=1e-5
-    )
-    np.testing.assert_allclose(terms['contact'], [0.3, 0.0406006], rtol=1e-5)
-
-  def test_defaults_are_those_of_table_i(self) -> None:
-    gains = rewards.RewardGains()
-    self.assertEqual(gains, (0.5, 0.5, 0.0, 5.0, 5.0, 2.0))
-    self.assertEqual(gains.highest, 1.0)
-
-  def test_perfect_step_pays_the_highest(self) -> None:
-    gains = rewards.RewardGains(0.3, 0.2, 0.1)
-    terms = rewards.reward_terms(_errors(), gains)
-    np.testing.assert_allclose(sum(terms.values()), [gains.highest])
-
-  def test_inputs_stay_as_they_are(self) -> None:
-    position, orientation = np.array([[0.3, 0.0, 0.1]]), _yawed(30)
-    before = position.copy(), orientation.copy()
-    rewards.tracking_errors(
-      position,
-      orientation,
-      np.ones((1, 2)),
+  return rewards.tracking_errors(
+    robot,
+    reference.Reference(
       np.zeros((1, 3)),
-      _UPRIGHT,
+      np.array([_UPRIGHT]),
       np.zeros((1, 2)),
-      np.ones(1, dtype=bool),
-    )
-    np.testing.assert_array_equal(position, before[0])
-    np.testing.assert_array_equal(orientation, before[1])
-
-
-class FootingTest(parameterized.TestCase):
-  @parameterized.parameters(
-    # Left stance: both down, as wanted, lower, both up, the wrong foot up.
-    ((1.0, 0.0), (0.0, 0.0), (1.0, 0.0), 0.0),
-    ((1.0, 0.0), (0.0, 0.05), (1.0, 0.0), 1.0),
-    ((1.0, 0.0), (0.0, 0.02), (1.0, 0.0), 0.4),
-    ((0.0, 0.0), (0.02, 0.05), (1.0, 0.0), 0.0),
-    ((0.0, 1.0), (0.07, 0.0), (1.0, 0.0), 0.0),
-    # Flight: by the height of both, within bounds.
-    ((0.0, 0.0), (0.01, 0.03), (0.0, 0.0), 0.12),
-    ((0.0, 0.0), (9.0, 9.0), (0.0, 0.0), 1.0),
-    ((0.0, 0.0), (-0.3, 0.05), (0.0, 0.0), 0.0),
-    # Both down.
-    ((1.0, 1.0), (0.0, 0.0), (1.0, 1.0), 1.0),
-    ((1.0, 0.0), (0.0, 0.2), (1.0, 1.0), 0.0),
+      np.array([has_contact]),
+    ),
   )
-  def test_by_hand(
-    self,
-    contact: tuple[float, float],
-    clearance: tuple[float, float],
-    wanted: tuple[float, float],
-    expected: float,
-  ) -> None:
-    found = lambda prescribed: rewards.footing(
-      np.array([contact]),
-      np.array([clearance]),
-      np.array([wanted]),
-      np.array([prescribed]),
-    )
-    np.testing.assert_allclose(found(True), np.array([expected]))
-    np.testing.assert_array_equal(found(False), np.array([1.0]))
 
 
-if __name__ == '__main__':
-  absltest.main()
+# One row a term at least: its name, the robot beside the reference, the error.
+@pytest.mark.parametrize(
+  ('term', 'robot', 'expected'),
+  [
+    ('position', {'position': (0.3, 0.0, -0.4)}, 0.5),
+    ('orientation', {}, 0.0),
+    ('orientation', {'orientation': _yawed(60)}, 0.25),
+    ('orientation', {'orientation': _yawed(-60)}, 0.25),
+    ('orientation', {'orientation': _yawed(90)}, 0.5),
+    ('orientation', {'orientation': _yawed(180)}, 1.0),
+    # Both signs of a quaternion are one orientation.
+    ('orientation', {'orientation': _yawed(360)}, 0.0),
+    # Rounding gives no negative error.
+    ('orientation', {'orientation': (1 + 1e-9, 0.0, 0.0, 0.0)}, 0.0),
+    ('contact', {'contact': (1.0, 0.0)}, 1.0),
+    ('contact', {'contact': (1.0, 1.0)}, 2**0.5),
+    ('contact', {'contact': (1.0, 1.0), 'has_contact': False}, 0.0),
+  ],
+)
+def test_errors_by_hand(
+  term: str, robot: dict[str, Any], expected: float
+) -> None:
+  errors = _errors(**robot)
+  np.testing.assert_allclose(errors.pop(term), [expected], atol=1e-12)
+  np.testing.assert_array_equal(list(errors.values()), 0.0)
+
+
+def test_terms_by_hand() -> None:
+  errors = {
+    'position': np.array([0.0, 0.2]),
+    'orientation': np.array([0.0, 0.25]),
+    'contact': np.array([0.0, 1.0]),
+  }
+  gains = rewards.RewardGains().with_weights(
+    position=0.35, orientation=0.35, contact=0.3
+  )
+  terms = rewards.reward_terms(errors, gains)
+  # exp(-1), exp(-1.25) and exp(-2) times the weights.
+  np.testing.assert_allclose(terms['position'], [0.35, 0.128758], rtol=1e-5)
+  np.testing.assert_allclose(terms['orientation'], [0.35, 0.100277], rtol=1e-5)
+  np.testing.assert_allclose(terms['contact'], [0.3, 0.0406006], rtol=1e-5)
+
+
+def test_defaults_are_those_of_table_i() -> None:
+  gains = rewards.RewardGains()
+  assert [dataclasses.astuple(gains)[i] for i in range(3)] == [
+    (0.5, 5.0),
+    (0.5, 5.0),
+    (0.0, 2.0),
+  ]
+  assert gains.highest == 1.0
+
+
+def test_perfect_step_pays_the_highest() -> None:
+  gains = rewards.RewardGains().with_weights(
+    position=0.3, orientation=0.2, contact=0.1
+  )
+  terms = rewards.reward_terms(_errors(), gains)
+  np.testing.assert_allclose(sum(terms.values()), [gains.highest])

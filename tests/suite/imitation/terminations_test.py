@@ -13,17 +13,17 @@ class TerminationCauseTest(parameterized.TestCase):
   @parameterized.parameters(
     (0.1, 0.0, 0.9, 0.5, True, 'none'),
     (0.35, 0.9999, 0.3, 0.22, True, 'none'),  # On the bounds it goes on.
-    (0.3501, 0.0, 0.9, 0.5, True, 'lost'),
-    (0.1, 1.0001, 0.9, 0.5, True, 'turned'),
-    (0.1, -1.0001, 0.9, 0.5, True, 'turned'),
-    (0.1, 0.0, 0.2999, 0.5, True, 'reward'),
-    (0.1, 0.0, 0.9, 0.2199, True, 'fallen'),
-    (0.1, 0.0, 0.9, 0.5, False, 'invalid'),
+    (0.3501, 0.0, 0.9, 0.5, True, 'position_error'),
+    (0.1, 1.0001, 0.9, 0.5, True, 'orientation_error'),
+    (0.1, -1.0001, 0.9, 0.5, True, 'orientation_error'),
+    (0.1, 0.0, 0.2999, 0.5, True, 'low_reward'),
+    (0.1, 0.0, 0.9, 0.2199, True, 'base_height'),
+    (0.1, 0.0, 0.9, 0.5, False, 'non_finite'),
     # The most telling cause is named.
-    (0.1, 2.0, 0.1, 0.5, True, 'turned'),
-    (0.5, 2.0, 0.1, 0.5, True, 'lost'),
-    (0.5, 2.0, 0.1, 0.1, True, 'fallen'),
-    (0.5, 2.0, 0.1, 0.1, False, 'invalid'),
+    (0.1, 2.0, 0.1, 0.5, True, 'orientation_error'),
+    (0.5, 2.0, 0.1, 0.5, True, 'position_error'),
+    (0.5, 2.0, 0.1, 0.1, True, 'base_height'),
+    (0.5, 2.0, 0.1, 0.1, False, 'non_finite'),
   )
   def test_causes(
     self,
@@ -64,7 +64,7 @@ class TerminationCauseTest(parameterized.TestCase):
       np.array([True]),
       terminations.TerminationLimits(distance=0.2),
     )
-    self.assertEqual(terminations.CAUSES[cause[0]], 'lost')
+    self.assertEqual(terminations.CAUSES[cause[0]], 'position_error')
 
   def test_only_a_fall_counts(self) -> None:
     cause = terminations.termination_cause(
@@ -76,7 +76,7 @@ class TerminationCauseTest(parameterized.TestCase):
       terminations.falls_alone(_LIMITS),
     )
     self.assertEqual(
-      [terminations.CAUSES[i] for i in cause], ['none', 'fallen']
+      [terminations.CAUSES[i] for i in cause], ['none', 'base_height']
     )
 
 

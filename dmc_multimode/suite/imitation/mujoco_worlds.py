@@ -1,0 +1,143 @@
+"""The physics of B worlds of an imitation task, on `mujoco.batch`.
+
+The model is compiled from the arena and walker of a Composer task. Each world
+has a pool of mocap boxes, which are the segments of its ground.
+"""
+
+import mujoco
+from mujoco import batch as mujoco_batch
+import numpy as np
+
+from dmc_multimode.arenas import terrain as terrain_lib
+from dmc_multimode.arenas import track as track_lib
+from dmc_multimode.suite.imitation import composer_task
+from dmc_multimode.walkers import mini_biped
+
+_SOLE = np.array([0.0, 0.0, 0.01])  # Under the middle of a level foot, metres.
+# What a changed size of a box changes in a model.
+_SIZES = ('geom_size', 'geom_rbound', 'geom_aabb', 'bvh_aabb')
+
+
+class MujocoWorlds:
+  """B physics states of one model, stepped together on a thread pool.
+
+  Attributes:
+    model: that all worlds share, but for the sizes of their boxes.
+    batch: the engine.
+    qpos, qvel: generalised positions [B, 17] and velocities [B, 16]; to be
+      written in place.
+  """
+
+  def __init__(
+    self,
+    model: mujoco.MjModel,
+    arena: track_lib.Track,
+    num_worlds: int,
+    num_threads: int,
+  ):
+    """Allocates the worlds.
+
+    Args:
+      model: of `compile_model`.
+      arena: of the task from which it was compiled.
+      num_worlds: B.
+      num_threads: 0 takes every core.
+    """
+    self.model = model
+    self.batch = mujoco_batch.Batch(model, num_worlds, num_threads)
+    self.qpos, self.qvel = self.batch.bind('qpos'), self.batch.bind('qvel')
+    self._ctrl = self.batch.bind('ctrl')
+    self._touch = self.batch.bind('sensordata')
+    self._site_xpos = self.batch.bind('site_xpos')
+    self._feet = model.sensor_objid[: len(mini_biped.SIDES)]
+    self._boxes = [
+      model.geom(geom.full_identifier).id for geom in arena.ground_geoms
+    ]
+    bodies = model.geom_bodyid[self._boxes]
+    self._mocaps = model.body_mocapid[bodies]
+    self._mocap_pos = self.batch.bind('mocap_pos')
+    self._bvhs = model.body_bvhadr[bodies]
+    self._sizes = {name: self.batch.expand(name) for name in _SIZES}
+
+  @property
+  def state(self) -> np.ndarray:
+    """The whole state of every world, to be written in place, [B, S]."""
+    return self.batch.state
+
+  def reset(self, ids: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> None:
+    """Puts the worlds `ids` into initial states, [N, 17] and [N, 16]."""
+    self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
+    self.qpos[ids], self.qvel[ids] = qpos, qvel
+
+  def step(
+    self, actions: np.ndarray, bounds: np.ndarray, moving: np.ndarray, num: int
+  ) -> np.ndarray:
+    """Makes physics steps.
+
+    Args:
+      actions: joint targets in radians, [B, 10].
+      bounds: least and most of them, [2, 10].
+      moving: whether each world is stepped, [B].
+      num: physics steps.
+
+    Returns:
+      The worlds in which the engine gave up, [N].
+    """
+    np.clip(actions, bounds[0], bounds[1], out=self._ctrl)
+    try:
+      self.batch.step(ids=moving, nstep=num)
+    except mujoco_batch.SimulationError as error:
+      return np.asarray(error.ids)
+    return np.zeros(0, dtype=np.int64)
+
+  def move_boxes(self, ids: np.ndarray, terrain: terrain_lib.Terrain) -> None:
+    """Puts the boxes of the worlds `ids` where N terrains have segments."""
+    if not len(ids):
+      return
+    centres, halves = terrain_lib.boxes(terrain)
+    self._mocap_pos[np.ix_(ids, self._mocaps)] = centres
+    rows = {name: field[ids] for name, field in self._sizes.items()}
+    track_lib.write_sizes(halves, np.array(self._boxes), self._bvhs, **rows)
+    for name, field in self._sizes.items():
+      field[ids] = rows[name]
+
+  def touch(self) -> np.ndarray:
+    """Returns the forces on the soles (left, right), newtons, [B, 2]."""
+    return self._touch
+
+  def soles(self) -> np.ndarray:
+    """Returns world positions of the soles, metres, [B, 2, 3]."""
+    return self._site_xpos[:, self._feet] - _SOLE
+
+
+def make_spec(task: composer_task.Imitation) -> mujoco.MjSpec:
+  """Returns the task's model with no sensors but those of the feet."""
+  root = task.root_entity.mjcf_model
+  spec = mujoco.MjSpec.from_string(root.to_xml_string(), root.get_assets())
+  kept = {sensor.full_identifier for sensor in task.walker.foot_sensors}
+  for sensor in list(spec.sensors):
+    if sensor.name not in kept:
+      spec.delete(sensor)
+  return spec
+
+
+def compile_model(task: composer_task.Imitation) -> mujoco.MjModel:
+  """Compiles the task's model with nothing in it that only eyes look at.
+
+  Visual geoms, cameras, lights and all sensors but those of the feet cost a
+  fifth of every physics step and change none.
+  """
+  spec = make_spec(task)
+  sites = {sensor.objname for sensor in spec.sensors}
+  unseen = [site for site in spec.sites if site.name not in sites]
+  unseen += [geom for geom in spec.geoms if not geom.contype | geom.conaffinity]
+  for element in [*unseen, *spec.cameras, *spec.lights]:
+    spec.delete(element)
+  model = spec.compile()
+  feet = [
+    model.sensor_adr[model.sensor(sensor.full_identifier).id]
+    for sensor in task.walker.foot_sensors
+  ]
+  if feet != list(range(len(mini_biped.SIDES))):
+    raise ValueError('The foot sensors are not where they are expected.')
+  return model
