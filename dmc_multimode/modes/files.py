@@ -1,7 +1,7 @@
 """Users' own modes: YAML or JSON files to reference motions and back.
 
 A file holds one mode, or several under `modes:`. Its fields are those of
-`motion_lib.ReferenceMotion`, with the keyframes as a list:
+`motion.ReferenceMotion`, with the keyframes as a list:
 
   name: hop_in_place
   kind: periodic             # or transient, or steady
@@ -14,38 +14,126 @@ A file holds one mode, or several under `modes:`. Its fields are those of
 A keyframe may turn the base by `orientation: [w, x, y, z]` or by
 `euler: [roll, pitch, yaw]` in degrees (rotations about the fixed x, y and z
 axes in this order); it is upright otherwise. Optional per mode: `step: {edge,
-height}`, `takeoff`, `mirror`, `half_cycle_symmetric`.
+height}` (a `motion.Ledge`), `takeoff`, `mirror`, `half_cycle_symmetric`.
 
 Nothing in a file is executed, and every error names the file and the line.
 """
 
-import json
 import os
 import re
 import reprlib
-from typing import Any, Mapping, NoReturn
+from typing import Annotated, Any, Iterable, Literal, Mapping
 
-import yaml
+import numpy as np
+import pydantic
+from scipy.spatial import transform
 
 from dmc_multimode.modes import codebook as codebook_lib
-from dmc_multimode.modes import fields
+from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.utils import files
+from dmc_multimode.utils import yaml_lines
 
 MAX_BYTES = 1_000_000
-
-_MAX_DEPTH = 20  # Nesting of a file; a mode needs 5 levels.
-_NUMBER = re.compile(r'[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?')
-_NOT_FINITE = re.compile(r'[-+]?\.?(inf|nan)', re.IGNORECASE)
-_TAGS = frozenset(
-  f'tag:yaml.org,2002:{kind}'
-  for kind in ('map', 'seq', 'str', 'int', 'float', 'bool', 'null')
-)
+MAX_KEYFRAMES = 1000
+_NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]{0,63}')
+_LEAST_NORM = 1e-3  # Of a quaternion before it is normalised.
 
 
 class ModeFileError(ValueError):
   """A mode cannot be read; the message is one line: what, where and why."""
+
+
+class _FieldError(ValueError):
+  """A value is wrong; `path` leads to it, the message says why."""
+
+  def __init__(self, path: yaml_lines.Path, message: str):
+    super().__init__(message)
+    self.path = path
+
+
+# The fields of a file, each with its bounds.
+
+
+def _numbers(size: int, bound: float) -> Any:
+  """Returns the type of a list of numbers within +-`bound`."""
+  number = Annotated[float, pydantic.Field(ge=-bound, le=bound)]
+  return Annotated[
+    list[number],
+    pydantic.Field(min_length=size, max_length=size),
+  ]
+
+
+def _checked_name(name: str) -> str:
+  if not _NAME.fullmatch(name):
+    raise ValueError(
+      'a name is at most 64 letters, digits and _, a letter first'
+    )
+  if name in library.SETS:
+    raise ValueError(f'{name!r} is the name of a mode set; choose another')
+  return name
+
+
+def _checked_mirror(name: str) -> str:
+  if name and not _NAME.fullmatch(name):
+    raise ValueError('mirror must be the name of a mode')
+  return name
+
+
+def _checked_contacts(row: Any) -> list[float]:
+  valid = isinstance(row, list) and len(row) == motion_lib.NUM_FEET
+  if not valid or any(foot not in (0, 1) for foot in row):
+    raise ValueError('contacts must be [left, right], each 0 or 1')
+  return [float(foot) for foot in row]
+
+
+_Metres = Annotated[float, pydantic.Field(ge=-100.0, le=100.0)]
+_Phase = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
+
+
+class _Table(pydantic.BaseModel):
+  """A table of fields: no text for a number, nothing unknown, no inf or nan.
+
+  What may be absent is None then, but not `null` in a file.
+  """
+
+  model_config = pydantic.ConfigDict(
+    strict=True, extra='forbid', allow_inf_nan=False
+  )
+
+
+class _Step(_Table):
+  edge: _Metres
+  height: _Metres
+
+
+class _Keyframe(_Table):
+  phase: _Phase
+  position: _numbers(3, 100.0)  # type: ignore[valid-type]
+  orientation: _numbers(4, 1e3) = None  # type: ignore[valid-type]
+  euler: _numbers(3, 360.0) = None  # type: ignore[valid-type]
+  contacts: Annotated[Any, pydantic.BeforeValidator(_checked_contacts)] = None
+
+
+class _Mode(_Table):
+  name: Annotated[str, pydantic.AfterValidator(_checked_name)]
+  kind: Literal['periodic', 'transient', 'steady']
+  duration: Annotated[float, pydantic.Field(ge=1e-3, le=60.0)]  # Seconds.
+  keyframes: Annotated[
+    list[_Keyframe], pydantic.Field(min_length=2, max_length=MAX_KEYFRAMES)
+  ]
+  step: _Step | None = None
+  takeoff: _Phase = 0.0
+  mirror: Annotated[str, pydantic.AfterValidator(_checked_mirror)] = ''
+  half_cycle_symmetric: bool = False
+
+
+class _Modes(_Table):
+  modes: Annotated[list[_Mode], pydantic.Field(min_length=1)]
+
+
+# Reading.
 
 
 def load(
@@ -57,19 +145,34 @@ def load(
     ModeFileError: the file cannot be read or is not a valid mode file; the
       message begins with `FILE:LINE:` wherever there is a line to point at.
   """
-  text = _read(path)
-  data, lines = _parse(path, text)
+  name = os.fspath(path)
   try:
-    return fields.motions(data)
-  except fields.FieldError as error:
+    content = files.read_bounded(path, MAX_BYTES)
+  except (OSError, ValueError) as error:  # Too large, or a NUL in the name.
+    reason = getattr(error, 'strerror', None) or str(error)
+    raise ModeFileError(f'{name}: cannot be read ({reason}).') from None
+  try:
+    return _load(content, name.lower().endswith('.json'))
+  except yaml_lines.LineError as error:
+    raise ModeFileError(f'{name}:{error.line}: {error}') from None
+
+
+def _load(
+  content: bytes, is_json: bool
+) -> tuple[motion_lib.ReferenceMotion, ...]:
+  """Returns the modes of a file's content; raises LineError."""
+  try:
+    text = content.decode('utf-8-sig')
+  except UnicodeDecodeError as error:
+    line = content.count(b'\n', 0, error.start) + 1
+    raise yaml_lines.LineError(line, 'not UTF-8 text.') from None
+  data, lines = yaml_lines.parse(text, is_json)
+  try:
+    return _motions(data)
+  except _FieldError as error:
     known = (error.path[:n] for n in range(len(error.path), -1, -1))
     line = next(lines[prefix] for prefix in known if prefix in lines)
-    _fail(path, line, str(error))
-
-
-def motion_to_dict(motion: motion_lib.ReferenceMotion) -> dict[str, Any]:
-  """Returns a motion as plain data, as a mode file would hold it."""
-  return fields.to_dict(motion)
+    raise yaml_lines.LineError(line, str(error)) from None
 
 
 def motion_from_dict(data: Mapping[str, Any]) -> motion_lib.ReferenceMotion:
@@ -79,9 +182,161 @@ def motion_from_dict(data: Mapping[str, Any]) -> motion_lib.ReferenceMotion:
     ModeFileError: a field is missing, unknown or wrong; the message names it.
   """
   try:
-    return fields.motion(data, ())
-  except fields.FieldError as error:
-    raise ModeFileError(f'{error.spell()}: {error}') from None
+    return _motion(_validated(_Mode, data), ())
+  except _FieldError as error:
+    words = (f'[{k}]' if isinstance(k, int) else f'.{k}' for k in error.path)
+    place = ''.join(words).lstrip('.') or 'mode'
+    raise ModeFileError(f'{place}: {error}') from None
+
+
+def _motions(data: Any) -> tuple[motion_lib.ReferenceMotion, ...]:
+  """Builds the modes of one file; raises _FieldError."""
+  if not (isinstance(data, dict) and 'modes' in data):
+    return (_motion(_validated(_Mode, data), ()),)
+  found: dict[str, motion_lib.ReferenceMotion] = {}
+  for i, mode in enumerate(_validated(_Modes, data).modes):
+    if mode.name in found:
+      message = f'mode {mode.name!r} is given twice.'
+      raise _FieldError(('modes', i, 'name'), message)
+    found[mode.name] = _motion(mode, ('modes', i))
+  return tuple(found.values())
+
+
+def _validated(table: type[_Table], data: Any) -> Any:
+  """Returns the fields of `data`; raises _FieldError at the first wrong one."""
+  try:
+    return table.model_validate(data)
+  except pydantic.ValidationError as error:
+    problems = error.errors(include_url=False)
+  # A field that is misspelt is missing as well: the spelling is what helps.
+  problem = min(problems, key=lambda found: found['type'] != 'extra_forbidden')
+  raise _FieldError(problem['loc'], _explain(problem))
+
+
+def _explain(problem: Mapping[str, Any]) -> str:
+  """Returns what pydantic found, in the words of a mode file."""
+  path, kind = problem['loc'], problem['type']
+  names = [str(key) for key in path if isinstance(key, str)]
+  known = ', '.join(_table_at(names).model_fields)
+  if kind == 'extra_forbidden':
+    return f'unknown field {reprlib.repr(path[-1])}; known are {known}.'
+  if kind == 'model_type':
+    return f'expected the fields {known} here.'
+  if kind == 'missing':
+    return f'the field {path[-1]!r} is missing.'
+  if kind == 'value_error':
+    return problem['msg'].removeprefix('Value error, ') + '.'
+  _, says = problem['msg'].split(' ', 1)  # 'Input should be ...'.
+  return f'{names[-1]} {says}, got {reprlib.repr(problem["input"])}.'
+
+
+def _table_at(names: list[str]) -> type[_Table]:
+  """Returns the table that the fields of a path belong to."""
+  tables: dict[str, type[_Table]] = {'keyframes': _Keyframe, 'step': _Step}
+  return next((tables[name] for name in names[::-1] if name in tables), _Mode)
+
+
+def _motion(mode: _Mode, path: yaml_lines.Path) -> motion_lib.ReferenceMotion:
+  """Builds one mode; raises _FieldError where its keyframes do not agree."""
+  frames, where = mode.keyframes, (*path, 'keyframes')
+  _check_phases([frame.phase for frame in frames], where)
+  orientations = [
+    _orientation(frame, (*where, i)) for i, frame in enumerate(frames)
+  ]
+  try:
+    return motion_lib.ReferenceMotion(
+      name=mode.name,
+      kind=mode.kind,
+      duration=mode.duration,
+      phases=np.array([frame.phase for frame in frames]),
+      positions=np.array([frame.position for frame in frames]),
+      orientations=np.array(orientations),
+      contacts=_contacts(frames, where),
+      ledge=motion_lib.Ledge(**dict(mode.step)) if mode.step else None,
+      takeoff=mode.takeoff,
+      mirror=mode.mirror,
+      half_cycle_symmetric=mode.half_cycle_symmetric,
+    )
+  except _FieldError:
+    raise
+  except ValueError as error:  # What only the motion as a whole can tell.
+    raise _FieldError(where, str(error)) from None
+
+
+def _check_phases(phases: list[float], path: yaml_lines.Path) -> None:
+  """Raises _FieldError unless phases rise from 0 to 1."""
+  last = len(phases) - 1
+  for i, phase in enumerate(phases):
+    if i == 0 and phase != 0:
+      message = f'the first phase must be 0, not {phase}.'
+    elif i and phase <= phases[i - 1]:
+      message = f'phase {phase} does not rise above {phases[i - 1]} before it.'
+    elif i == last and phase != 1:
+      message = f'the last phase must be 1, not {phase}.'
+    else:
+      continue
+    raise _FieldError((*path, i, 'phase'), message)
+
+
+def _orientation(frame: _Keyframe, path: yaml_lines.Path) -> np.ndarray:
+  """Returns a keyframe's quaternion (w, x, y, z), not normalised yet, [4]."""
+  if frame.orientation is not None and frame.euler is not None:
+    raise _FieldError(
+      (*path, 'euler'), 'give either orientation or euler, not both.'
+    )
+  if frame.euler is not None:
+    turn = transform.Rotation.from_euler('xyz', frame.euler, degrees=True)
+    return turn.as_quat(scalar_first=True)
+  if frame.orientation is None:
+    return np.array([1.0, 0.0, 0.0, 0.0])
+  quaternion = np.array(frame.orientation)
+  if np.linalg.norm(quaternion) < _LEAST_NORM:
+    raise _FieldError((*path, 'orientation'), 'orientation must not be zero.')
+  return quaternion
+
+
+def _contacts(
+  frames: Iterable[_Keyframe], path: yaml_lines.Path
+) -> np.ndarray | None:
+  """Returns the feet's contacts, [K, 2], or None where no keyframe has any."""
+  rows = [frame.contacts for frame in frames]
+  if all(row is None for row in rows):
+    return None
+  for i, row in enumerate(rows):
+    if row is None:
+      message = 'contacts are missing here; give them in all keyframes or none.'
+      raise _FieldError((*path, i), message)
+  return np.array(rows)
+
+
+# Writing.
+
+
+def motion_to_dict(motion: motion_lib.ReferenceMotion) -> dict[str, Any]:
+  """Returns a motion as plain data, as a mode file would hold it."""
+  keyframes: list[dict[str, Any]] = []
+  for i, phase in enumerate(motion.phases.tolist()):
+    keyframe: dict[str, Any] = {
+      'phase': phase,
+      'position': motion.positions[i].tolist(),
+      'orientation': motion.orientations[i].tolist(),
+    }
+    if motion.contacts is not None:
+      keyframe['contacts'] = [int(c) for c in motion.contacts[i]]
+    keyframes.append(keyframe)
+  result: dict[str, Any] = {
+    'name': motion.name,
+    'kind': motion.kind,
+    'duration': float(motion.duration),
+    'keyframes': keyframes,
+    'takeoff': float(motion.takeoff),
+    'mirror': motion.mirror,
+    'half_cycle_symmetric': bool(motion.half_cycle_symmetric),
+  }
+  if motion.ledge is not None:
+    ledge = {'edge': motion.ledge.edge, 'height': motion.ledge.height}
+    result['step'] = {key: float(value) for key, value in ledge.items()}
+  return result
 
 
 def mode_set_to_dict(mode_set: mode_set_lib.ModeSet) -> dict[str, Any]:
@@ -103,137 +358,3 @@ def mode_set_from_dict(data: Mapping[str, Any]) -> mode_set_lib.ModeSet:
   names = tuple(motion.name for motion in motions)
   codebook = codebook_lib.Codebook(names, data['latents'])
   return mode_set_lib.ModeSet(motions, codebook)
-
-
-# Text to plain data, with the line of every value.
-
-
-def _fail(path: str | os.PathLike[str], line: int, message: str) -> NoReturn:
-  raise ModeFileError(f'{os.fspath(path)}:{line}: {message}') from None
-
-
-def _read(path: str | os.PathLike[str]) -> str:
-  """Returns the text of a file; raises ModeFileError where there is none."""
-  name = os.fspath(path)
-  try:
-    content = files.read_bounded(path, MAX_BYTES)
-  except (OSError, ValueError) as error:  # Too large, or a NUL in the name.
-    reason = getattr(error, 'strerror', None) or str(error)
-    raise ModeFileError(f'{name}: cannot be read ({reason}).') from None
-  try:
-    return content.decode('utf-8-sig')
-  except UnicodeDecodeError as error:
-    line = content.count(b'\n', 0, error.start) + 1
-    _fail(path, line, 'not UTF-8 text.')
-
-
-def _parse(
-  path: str | os.PathLike[str], text: str
-) -> tuple[Any, dict[fields.Path, int]]:
-  """Returns a file's plain data, and the line on which each value begins."""
-  if os.fspath(path).lower().endswith('.json'):
-    _check_json(path, text)
-    text = text.replace('\t', ' ')  # Legal between JSON's tokens, not YAML's.
-  try:
-    node = yaml.compose(text, Loader=_Loader)
-  except yaml.MarkedYAMLError as error:
-    mark = error.problem_mark or error.context_mark
-    line = mark.line + 1 if mark else 1
-    _fail(path, line, f'{error.problem or error.context}.')
-  except yaml.reader.ReaderError as error:
-    line = text.count('\n', 0, error.position) + 1
-    _fail(path, line, f'character U+{error.character:04X} is not allowed.')
-  except ValueError as error:  # An escape such as "\UFFFFFFFF".
-    _fail(path, 1, f'not YAML ({reprlib.repr(str(error))}).')
-  if node is None:
-    _fail(path, 1, 'the file is empty.')
-  lines: dict[fields.Path, int] = {(): node.start_mark.line + 1}
-  try:
-    return _plain(node, (), lines), lines
-  except fields.FieldError as error:
-    _fail(path, lines[error.path], str(error))
-
-
-def _check_json(path: str | os.PathLike[str], text: str) -> None:
-  """Raises ModeFileError where a file is not JSON, in JSON's own words."""
-  try:
-    json.loads(text)
-  except json.JSONDecodeError as error:
-    _fail(path, error.lineno, f'not JSON: {error.msg}.')
-  except ValueError:  # Python refuses integers of more than 4300 digits.
-    _fail(path, 1, 'holds a number that is too long.')
-  except RecursionError:
-    _fail(path, 1, 'nested too deeply.')
-
-
-class _Loader(yaml.SafeLoader):
-  """Composes nodes with their lines; refuses aliases and deep nesting."""
-
-  _depth = 0
-
-  def compose_node(self, parent: Any, index: Any) -> Any:
-    event: Any = self.peek_event()
-    if self.check_event(yaml.AliasEvent):
-      raise yaml.composer.ComposerError(
-        problem='aliases (*name) are not supported',
-        problem_mark=event.start_mark,
-      )
-    if self._depth >= _MAX_DEPTH:
-      raise yaml.composer.ComposerError(
-        problem='nested too deeply', problem_mark=event.start_mark
-      )
-    self._depth += 1
-    node = super().compose_node(parent, index)
-    self._depth -= 1
-    return node
-
-
-def _plain(
-  node: yaml.Node, path: fields.Path, lines: dict[fields.Path, int]
-) -> Any:
-  """Returns a node's value without calling a constructor; fills `lines`.
-
-  Raises:
-    fields.FieldError: a key is not text or is given twice, or a value has a
-      tag such as !!python/name.
-  """
-  if node.tag not in _TAGS:
-    # Only ISO dates get a tag of their own unasked: they are text here.
-    if not (isinstance(node, yaml.ScalarNode) and 'timestamp' in node.tag):
-      raise fields.FieldError(
-        path, f'{reprlib.repr(node.tag)} is not allowed here.'
-      )
-  if isinstance(node, yaml.SequenceNode):
-    for i, item in enumerate(node.value):
-      lines[(*path, i)] = item.start_mark.line + 1
-    return [_plain(x, (*path, i), lines) for i, x in enumerate(node.value)]
-  if isinstance(node, yaml.ScalarNode):
-    return _scalar(node)
-  result: dict[str, Any] = {}
-  for key_node, value_node in node.value:
-    key = key_node.value
-    line = key_node.start_mark.line + 1
-    if not isinstance(key, str):
-      lines[path] = line
-      raise fields.FieldError(path, 'a field name must be plain text.')
-    lines[(*path, key)] = line
-    if key in result:
-      raise fields.FieldError(
-        (*path, key), f'{reprlib.repr(key)} is given twice.'
-      )
-    result[key] = _plain(value_node, (*path, key), lines)
-  return result
-
-
-def _scalar(node: yaml.ScalarNode) -> str | float | bool | None:
-  """Returns text, number, boolean or None; quoted values are text."""
-  text: str = node.value
-  if node.style is not None:
-    return text
-  if text.lower() in ('true', 'false'):
-    return text.lower() == 'true'
-  if text.lower() in ('', '~', 'null'):
-    return None
-  if _NOT_FINITE.fullmatch(text):
-    return float(text.replace('.', ''))
-  return float(text) if _NUMBER.fullmatch(text) else text
