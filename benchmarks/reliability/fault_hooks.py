@@ -1,7 +1,7 @@
-"""What a training suffers from within: installed in the process that trains.
+"""Lets a training suffer from within: installed in the process that trains.
 
 Every function here changes the running process for good, and is meant for a
-child of `fault_process` alone.
+child of `fault_runs` alone.
 """
 
 import functools
@@ -38,41 +38,48 @@ def digest(tensors: Mapping[str, Any]) -> str:
 def journal(path: str) -> None:
   """Notes each iteration with a hash of everything, and each checkpoint.
 
-  Lines: `at STEPS HASH` after an iteration, `saving STEPS`, `saved STEPS`. What
-  is written survives the death of the process.
+  Lines: `at STEPS HASH` after an iteration, `saved STEPS`. What is written
+  survives the death of the process.
   """
   file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
   note = lambda text: os.write(file, f'{text}\n'.encode())
-  step = runner.TrainingLoop.run
+  run = Loop.run
 
-  def run(self: Loop, config: Any, logger: Any, save: Any, *rest: Any) -> None:
+  def noted_run(
+    self: Loop, config: Any, logger: Any, save: Any, *rest: Any
+  ) -> None:
     learn = self._learner.step
 
-    def learned(buffers: Any, steps: int) -> dict[str, float]:
-      metrics = learn(buffers, steps)
+    def learned(*args: Any) -> Any:
+      metrics = learn(*args)
       note(f'at {self.steps} {digest(self.state()[0])}')
       return metrics
 
-    def noted() -> None:
-      note(f'saving {self.steps}')
+    def saved() -> None:
       save()
       note(f'saved {self.steps}')
 
     setattr(self._learner, 'step', learned)  # noqa: B010
-    step(self, config, logger, noted, *rest)
+    run(self, config, logger, saved, *rest)
 
-  runner.TrainingLoop.run = run  # type: ignore[assignment,method-assign]
+  setattr(Loop, 'run', noted_run)  # noqa: B010
 
 
 def checkpoint_every(seconds: float) -> None:
-  """Checkpoints more often than the binary would."""
+  """Checkpoints more often than the command would."""
   often = functools.partial(runner.TrainingConfig, checkpoint_seconds=seconds)
   setattr(runner, 'TrainingConfig', often)  # noqa: B010
 
 
-def _in_checkpoints(call: Callable[[str, Any], None]) -> None:
-  """Lets `call` see what is about to reach the disk: fsyncs and renames."""
-  inside = [False]
+def die_in_checkpoint(call: int, share: float) -> None:
+  """Kills this process, as `kill -9` does, in the middle of a checkpoint.
+
+  Args:
+    call: before which fsync or rename of a checkpoint or its policy, of all of
+      them.
+    share: of a file whose fsync that is, how much has been written.
+  """
+  inside, count = [False], [0]
 
   def entering(function: Callable[..., Any]) -> Callable[..., Any]:
     def wrapped(*args: Any) -> Any:
@@ -84,113 +91,86 @@ def _in_checkpoints(call: Callable[[str, Any], None]) -> None:
 
     return wrapped
 
-  def seen(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+  def deadly(function: Callable[..., Any]) -> Callable[..., Any]:
     def wrapped(*args: Any) -> Any:
       if inside[0]:
-        call(name, args[0])
+        if count[0] == call:
+          if wrapped is os.fsync:
+            os.ftruncate(args[0], int(share * os.fstat(args[0]).st_size))
+          os.kill(os.getpid(), signal.SIGKILL)
+        count[0] += 1
       return function(*args)
 
     return wrapped
 
-  checkpointer, policy = checkpointing.Checkpointer, policy_lib.Policy
-  checkpointer.save = entering(checkpointer.save)  # type: ignore[method-assign]
-  policy.save = entering(policy.save)  # type: ignore[method-assign]
-  os.fsync = seen('fsync', os.fsync)
-  os.replace = seen('replace', os.replace)
+  for owner in (checkpointing.Checkpointer, policy_lib.Policy):
+    setattr(owner, 'save', entering(owner.save))  # noqa: B010
+  os.fsync, os.replace = deadly(os.fsync), deadly(os.replace)
 
 
-def die_in_checkpoint(call: int, share: float) -> None:
-  """Kills this process, as `kill -9` does, in the middle of a checkpoint.
+def _before_collecting(change: Callable[[Loop, int], Any]) -> None:
+  """Calls `change` with the loop and the iteration that it begins."""
+  collect = Loop._collect
 
-  Args:
-    call: before which fsync or rename of a checkpoint or its policy, of all of
-      them.
-    share: of a file whose fsync that is, how much has been written.
-  """
-  count = [0]
+  def changed(self: Loop, *args: Any) -> Any:
+    change(self, self.iterations + 1)
+    return collect(self, *args)
 
-  def die(name: str, what: Any) -> None:
-    if count[0] == call:
-      if name == 'fsync':
-        os.ftruncate(what, int(share * os.fstat(what).st_size))
-      os.kill(os.getpid(), signal.SIGKILL)
-    count[0] += 1
-
-  _in_checkpoints(die)
+  setattr(Loop, '_collect', changed)  # noqa: B010
 
 
-def stall(iteration: int) -> None:
-  """Stays in one rollout, as a long one would."""
-  _before_learning(iteration, iteration, lambda _: time.sleep(300))
+def slow(seconds: float, iteration: int | None = None) -> None:
+  """Lets a rollout, or every one, take so much longer."""
+
+  def wait(loop: Loop, now: int) -> None:
+    if iteration in (None, now):
+      time.sleep(seconds)
+
+  _before_collecting(wait)
 
 
-def slow(seconds: float) -> None:
-  """Lets every rollout take so much longer."""
-  _before_learning(0, 1_000_000, lambda _: time.sleep(seconds))
+def world_goes_nan(iteration: int, world: int) -> None:
+  """Makes the state of a world NaN before an iteration."""
 
+  def poison(loop: Loop, now: int) -> None:
+    if now == iteration:
+      loop._environment.qvel[world, 3] = math.nan  # type: ignore[attr-defined]
 
-def _before_learning(
-  first: int, last: int, change: Callable[[Loop], Any]
-) -> None:
-  """Calls `change` with the loop before it collects those iterations."""
-  collect = runner.TrainingLoop._collect
-
-  def changed(self: Loop) -> None:
-    if first <= self.iterations + 1 <= last:
-      change(self)
-    collect(self)
-
-  runner.TrainingLoop._collect = changed  # type: ignore[method-assign]
-
-
-def world_goes_nan(iteration: int, worlds: list[int]) -> None:
-  """Makes the state of some worlds NaN before an iteration."""
-
-  def poison(loop: Loop) -> None:
-    loop._environment.qvel[worlds, 3] = math.nan  # type: ignore[attr-defined]
-
-  _before_learning(iteration, iteration, poison)
+  _before_collecting(poison)
 
 
 def worlds_go_nan(iteration: int) -> None:
   """Makes the states of all worlds NaN before every step of an iteration."""
-  step, now = batched_env.BatchedImitation.step, [0]
+  step, current = batched_env.BatchedImitation.step, [0]
 
   def poisoned(self: Any, actions: np.ndarray) -> Any:
-    if now[0] == iteration:
+    if current[0] == iteration:
       self.qvel[:, 3] = math.nan
     return step(self, actions)
 
-  def note(loop: Loop) -> None:
-    now[0] = loop.iterations + 1
+  _before_collecting(lambda loop, now: current.__setitem__(0, now))
+  setattr(batched_env.BatchedImitation, 'step', poisoned)  # noqa: B010
 
-  _before_learning(0, 1_000_000, note)
-  batched_env.BatchedImitation.step = poisoned  # type: ignore[method-assign]
+
+def reward_goes_nan(iteration: int) -> None:
+  """Makes one reward of an iteration NaN."""
+  advance, armed = imitation_core.ImitationCore.advance, [False]
+
+  def poisoned(self: Any, *args: Any) -> imitation_core.Outcome:
+    outcome = advance(self, *args)
+    if armed[0]:
+      outcome.reward[0] = math.nan
+      armed[0] = False
+    return outcome
+
+  _before_collecting(lambda loop, now: armed.__setitem__(0, now == iteration))
+  setattr(imitation_core.ImitationCore, 'advance', poisoned)  # noqa: B010
 
 
 def as_user(user: int) -> None:
   """Gives up being root, to whom no file is read-only."""
   os.setgid(user)
   os.setuid(user)
-
-
-def reward_goes_nan(iteration: int) -> None:
-  """Makes one reward of an iteration NaN."""
-  advance = imitation_core.ImitationCore.advance
-  armed = [False]
-
-  def arm(loop: Loop) -> None:
-    armed[0] = True
-
-  def poisoned(self: Any, *args: Any) -> imitation_core.Outcome:
-    outcome = advance(self, *args)
-    if armed[0]:
-      armed[0] = False
-      outcome.reward[0] = math.nan
-    return outcome
-
-  _before_learning(iteration, iteration, arm)
-  setattr(imitation_core.ImitationCore, 'advance', poisoned)  # noqa: B010
 
 
 def clock_jumps(seed: int) -> None:

@@ -1,71 +1,266 @@
-"""Trainings that are killed, starved and lied to: what is lost?
+"""Disturbs trainings in every way below, and counts what is lost.
 
     python -m benchmarks.reliability.faults --out=faults.json
 
-A tiny training of `dmc_multimode.bin.train` is disturbed in every way that
-`fault_cases` has, resumed, and compared with the same training undisturbed: a
-hash of everything that a checkpoint holds, after every single iteration. What
-is counted:
+A tiny training of `dmc_multimode.bin.train` is disturbed, resumed, and compared
+with the same training undisturbed: a hash of everything that a checkpoint
+holds, after every single iteration. What is counted:
 
 - cases: how often the fault happened;
 - explained: how often the process ended as documented: with that exit code, and
   where it is an error with one line that says so, and no traceback;
 - states: iterations whose state was compared; different: not the same bits;
-- lost: whole checkpoints that a resumed run did not go on from (a damaged one
-  does not count); again: the most iterations that had to be done again.
+- lost: whole checkpoints that a resumed run did not go on from; again: the most
+  iterations that had to be done again.
 
-Some faults need root: small disks are mounted, and the process whose folder is
-read-only is another user's. They are skipped elsewhere, with the reason. Ends
-with 3 if anything is lost, different or unexplained.
+A new fault is a row of `faults()`. Some need root: small disks are mounted, and
+the process whose folder is read-only is another user's. They are skipped
+elsewhere, with the reason. Ends with 3 if anything is lost, different or
+unexplained. Damaged checkpoints are tests/agents/checkpointing_test.py's.
 """
 
+import contextlib
+import os
 import pathlib
+import shutil
+import signal
+import subprocess
 import tempfile
-from typing import Any, Callable, Mapping, Sequence
+import time
+from typing import Any, Callable, ContextManager, Iterator, NamedTuple, Sequence
 
 from absl import flags
 import tqdm
 
 from benchmarks import common
-from benchmarks.reliability import fault_cases
+from benchmarks.reliability import fault_runs
 from dmc_multimode.bin import app
+from dmc_multimode.utils import files
 
 _KILLS = flags.DEFINE_integer('kills', 50, 'Half of them in checkpoints.', 2)
 _CASES = flags.DEFINE_integer('cases', 3, 'Of each other random fault.', 1)
 _ONLY = flags.DEFINE_list('only', None, 'Names of faults; all by default.')
-_SEED = flags.DEFINE_integer('seed', 0, 'Of the moments.', 0)
 _FOLDER = flags.DEFINE_string(
   'folder', None, 'Where to work; by default a temporary folder.'
 )
 _OUT = flags.DEFINE_string('out', None, 'JSON file to write.')
 
-Fault = Callable[[fault_cases.Campaign], fault_cases.Row]
+_SEED = 0  # Of the moments. A flag of that name would be `train`'s, too.
+_POISONED = 8  # The iteration in which something becomes NaN.
+_NOBODY = 65534
+_CALLS = 8  # fsyncs and renames of a checkpoint and its policy.
+_DISKS = (8, 24, 48, 76, 100, 128, 148, 168)  # Kilobytes.
+_SLOWLY: fault_runs.Hooks = {'slow': {'seconds': 0.2}}
+
+Run = fault_runs.Run
 
 
-def _faults() -> Mapping[str, Fault]:
+class Skipped(Exception):
+  """A fault cannot be had here; the message says why."""
+
+
+@contextlib.contextmanager
+def _start(run: Run, hooks: fault_runs.Hooks | None = None) -> Iterator[None]:
+  """Only starts: the hooks do the rest."""
+  run.start(hooks)
+  yield
+
+
+@contextlib.contextmanager
+def _killed(run: Run) -> Iterator[None]:
+  """Kills at a random moment."""
+  assert run.reference
+  run.start()
+  if run.is_running(run.random.uniform(0, run.reference.seconds)):
+    run.send(signal.SIGKILL)
+  yield
+
+
+@contextlib.contextmanager
+def _killed_in_checkpoint(run: Run) -> Iterator[None]:
+  """Kills before every fsync and rename in turn, a file cut off anywhere."""
+  call = run.row.cases % _CALLS + _CALLS * run.random.randrange(2)
+  share = run.random.random()
+  run.start({'die_in_checkpoint': {'call': call, 'share': share}})
+  yield
+
+
+@contextlib.contextmanager
+def _asked_to_stop(run: Run, number: signal.Signals) -> Iterator[None]:
+  """Asks once, after a checkpoint."""
+  run.start(_SLOWLY)
+  run.wait_until(0)
+  run.is_running(run.random.uniform(0, 1))
+  run.send(number)
+  yield
+
+
+@contextlib.contextmanager
+def _interrupted_twice(run: Run) -> Iterator[None]:
+  """Interrupts twice in one rollout that takes long."""
+  run.start({'slow': {'seconds': 300, 'iteration': 10}})
+  run.wait_until(9 * fault_runs.STEPS)
+  time.sleep(0.5)
+  run.send(signal.SIGINT)
+  if not run.is_running(0.5):
+    run.row.problems.append('The first one ended it.')
+  run.send(signal.SIGINT)
+  yield
+
+
+@contextlib.contextmanager
+def _disk_full(run: Run) -> Iterator[None]:
+  """Trains on a disk of so many kilobytes, which grows after the error."""
+  if os.getuid():
+    raise Skipped('only root can mount a small disk')
+  run.folder = run.work / 'disk' / 'run'
+  disk, size = str(run.folder.parent), _DISKS[run.case % len(_DISKS)]
+  os.mkdir(disk)
+  mount = ['mount', '-t', 'tmpfs', '-o', f'size={size}k', 'tmpfs', disk]
+  try:
+    subprocess.run(mount, check=True, capture_output=True)
+  except (OSError, subprocess.CalledProcessError) as error:
+    raise Skipped(f'no small disk can be mounted ({error})') from error
+  run.start()
+  yield
+  grow = ['mount', '-o', 'remount,size=64m', disk]
+  subprocess.run(grow, check=True)
+
+
+@contextlib.contextmanager
+def _folder_gone(run: Run) -> Iterator[None]:
+  """Moves the folder away and puts it back, or every third time does not."""
+  run.start(_SLOWLY)
+  run.wait_until(0)
+  away = run.folder.rename(run.work / 'away')
+  yield
+  if run.folder.exists():
+    run.row.problems.append('It was made again.')
+  if run.case % 3 < 2:
+    away.rename(run.folder)
+  else:
+    shutil.rmtree(away)
+    run.forget()
+
+
+@contextlib.contextmanager
+def _folder_read_only(run: Run) -> Iterator[None]:
+  """Forbids to write from some moment on, every third time from the start."""
+  hooks: dict[str, Any] = dict(_SLOWLY)
+  if os.getuid() == 0:
+    hooks['as_user'] = {'user': _NOBODY}
+  if run.case % 3 < 2:
+    run.start(hooks)
+    run.wait_until(0)
+    _set_modes(run.folder, 0o555)
+  else:
+    run.folder.mkdir(0o555)
+    run.start(hooks)
+  yield
+  _set_modes(run.folder, 0o777)
+
+
+def _set_modes(folder: pathlib.Path, mode: int) -> None:
+  for path in (folder, *folder.rglob('*')):
+    os.chmod(path, mode if path.is_dir() else 0o666)
+
+
+@contextlib.contextmanager
+def _world_nan(run: Run) -> Iterator[None]:
+  """Lets a world go NaN; what is counted then must end up in the log."""
+  run.start()
+  yield
+  counted = [float(row['diverged']) for row in run.rows()]
+  if counted[0] != 0 or counted[-1] != 1:
+    run.row.problems.append(f'Counted {counted} worlds.')
+
+
+class Fault(NamedTuple):
+  """Describes a way to disturb a training.
+
+  Attributes:
+    title: in the table.
+    disturb: starts a run and disturbs it; once the process has ended, what
+      follows the `yield` mends what a user would.
+    code: exit code that is documented.
+    runs: how many.
+    times: how often each is disturbed and resumed.
+    words: in the error.
+    lasting: hooks of the undisturbed training and of the resumed one, too.
+    most_again: iterations that may have to be done again.
+  """
+
+  title: str
+  disturb: Callable[[Run], ContextManager[None]]
+  code: int
+  runs: int
+  times: int = 1
+  words: str = ''
+  lasting: fault_runs.Hooks = {}
+  most_again: int = fault_runs.ITERATIONS
+
+
+def _hooked(name: str, **values: Any) -> Callable[[Run], ContextManager[None]]:
+  """Returns a disturbance by a hook alone."""
+  return lambda run: _start(run, {name: values})
+
+
+def _asked(number: signal.Signals, runs: int) -> Fault:
+  disturb = lambda run: _asked_to_stop(run, number)
+  return Fault(number.name, disturb, 0, runs, most_again=0)
+
+
+def faults(kills: int, cases: int) -> dict[str, Fault]:
   """Returns all faults by name."""
-  kills, cases = _KILLS.value // 2, _CASES.value
+  killed, read_only = -signal.SIGKILL, 'Permission denied'
+  runs = -(-kills // 10)
   return {
-    'killed': lambda campaign: campaign.killed(_KILLS.value - kills),
-    'killed_in_checkpoint': lambda c: c.killed_in_checkpoint(kills),
-    'sigterm': lambda campaign: campaign.asked_to_stop('SIGTERM', cases),
-    'sigint': lambda campaign: campaign.asked_to_stop('SIGINT', cases),
-    'sigint_twice': lambda campaign: campaign.interrupted_twice(cases),
-    'disk_full': fault_cases.Campaign.disk_full,
-    'folder_gone': fault_cases.Campaign.folder_gone,
-    'folder_read_only': fault_cases.Campaign.folder_read_only,
-    'clock_jumps': lambda campaign: campaign.clock_jumps(cases),
-    'world_nan': lambda campaign: campaign.world_nan(cases),
-    'worlds_nan': fault_cases.Campaign.worlds_nan,
-    'reward_nan': fault_cases.Campaign.reward_nan,
-    'newest_damaged': fault_cases.Campaign.newest_damaged,
-    'both_damaged': fault_cases.Campaign.both_damaged,
+    'killed': Fault('kill -9 at a random moment', _killed, killed, runs, 5),
+    'killed_in_checkpoint': Fault(
+      'kill -9 inside a checkpoint write',
+      _killed_in_checkpoint,
+      killed,
+      runs,
+      5,
+    ),
+    'sigterm': _asked(signal.SIGTERM, cases),
+    'sigint': _asked(signal.SIGINT, cases),
+    'sigint_twice': Fault(
+      'SIGINT twice', _interrupted_twice, -signal.SIGINT, cases
+    ),
+    'disk_full': Fault(
+      'disk full', _disk_full, 2, len(_DISKS), words='No space left'
+    ),
+    'folder_gone': Fault(
+      'run directory moved away, or removed', _folder_gone, 2, 3
+    ),
+    'folder_read_only': Fault(
+      'run directory read-only', _folder_read_only, 2, 3, words=read_only
+    ),
+    'clock_jumps': Fault('clock jumps', _hooked('clock_jumps', seed=0), 0, 1),
+    'world_nan': Fault(
+      'a world goes NaN',
+      _world_nan,
+      0,
+      1,
+      lasting={'world_goes_nan': {'iteration': _POISONED, 'world': 2}},
+    ),
+    'worlds_nan': Fault(
+      'more than 0.1% of worlds NaN',
+      _hooked('worlds_go_nan', iteration=_POISONED),
+      *(2, 1, 1, 'diverged'),
+    ),
+    'reward_nan': Fault(
+      'a reward goes NaN',
+      _hooked('reward_goes_nan', iteration=_POISONED),
+      *(2, 1, 1, 'not finite'),
+    ),
   }
 
 
-def _chosen() -> Mapping[str, Fault]:
+def _chosen() -> dict[str, Fault]:
   """Returns --only; raises ValueError for what is not there."""
-  known = _faults()
+  known = faults(_KILLS.value, _CASES.value)
   names = _ONLY.value if _ONLY.value is not None else list(known)
   unknown = [name for name in names if name not in known]
   if unknown:
@@ -75,56 +270,64 @@ def _chosen() -> Mapping[str, Fault]:
   return {name: known[name] for name in names}
 
 
-def run(folder: pathlib.Path) -> list[fault_cases.Row]:
-  """Runs the faults in a folder; returns the rows of the table."""
-  chosen = _chosen()
-  campaign = fault_cases.Campaign(folder, _SEED.value)
-  rows = []
-  try:
-    for name, fault in tqdm.tqdm(chosen.items(), unit='fault'):
-      try:
-        rows.append(fault(campaign))
-      except fault_cases.Skipped as error:
-        rows.append(fault_cases.Row(name, skipped=str(error)))
-      tqdm.tqdm.write(_line(rows[-1]))
-  finally:
-    campaign.close()
-  return rows
+def suffer(fault: Fault, folder: pathlib.Path) -> fault_runs.Row:
+  """Returns what a fault led to in runs inside a folder."""
+  row = fault_runs.Row(fault.title)
+  reference = fault_runs.Reference(folder / 'reference', fault.lasting)
+  for case in range(fault.runs):
+    run = Run(row, folder / str(case), fault.lasting, case, _SEED)
+    run.reference = reference
+    try:
+      for _ in range(fault.times):
+        with fault.disturb(run):
+          done = run.wait()
+          if done.code or not fault.code:  # It may have ended before.
+            row.judge(done, fault.code, fault.words)
+      run.finish()
+    except Skipped as error:
+      return fault_runs.Row(fault.title, skipped=str(error))
+    finally:
+      disk = run.work / 'disk'
+      if disk.is_mount():
+        subprocess.run(['umount', str(disk)], check=True)
+      run.remove()
+  if row.most_lost > fault.most_again:
+    row.problems.append('Iterations were lost.')
+  return row
 
 
 _TITLES = ('cases', 'explained', 'states', 'different', 'lost', 'again')
 
 
-def _values(row: fault_cases.Row) -> tuple[int, ...]:
+def _values(row: fault_runs.Row) -> tuple[int, ...]:
   return (
-    row.cases,
-    row.explained,
-    row.compared,
-    row.different,
-    row.checkpoints_lost,
-    row.most_lost,
+    *(row.cases, row.explained, row.compared, row.different),
+    *(row.checkpoints_lost, row.most_lost),
   )
 
 
-def _line(row: fault_cases.Row) -> str:
+def _line(row: fault_runs.Row) -> str:
   if row.skipped:
     return f'{row.fault:40}  skipped: {row.skipped}'
   cells = ''.join(f'{value:11}' for value in _values(row))
   return '\n'.join([f'{row.fault:40}{cells}', *row.problems])
 
 
-def _failed(row: fault_cases.Row) -> bool:
-  whole = row.explained == row.cases
+def _has_failed(row: fault_runs.Row) -> bool:
   bad = row.problems or row.different or row.checkpoints_lost
-  return bool(bad) or not whole
+  return bool(bad) or row.explained < row.cases
 
 
 def main(argv: Sequence[str]) -> int:
-  """Runs, prints, writes; returns whether all is well."""
+  """Runs, prints, writes; returns the exit code."""
   del argv
-  out = common.out_path(_OUT.value)
-  with tempfile.TemporaryDirectory(dir=_FOLDER.value) as folder:
-    rows = run(pathlib.Path(folder))
+  out, chosen = files.output_file('out', _OUT.value), _chosen()
+  rows = []
+  for fault in tqdm.tqdm(chosen.values(), unit='fault'):
+    with tempfile.TemporaryDirectory(dir=_FOLDER.value) as folder:
+      os.chmod(folder, 0o777)  # Of nobody, too.
+      rows.append(suffer(fault, pathlib.Path(folder)))
+    tqdm.tqdm.write(_line(rows[-1]))
   print(f'{"fault":40}' + ''.join(f'{title:>11}' for title in _TITLES))
   for row in rows:
     print(_line(row))
@@ -133,14 +336,9 @@ def main(argv: Sequence[str]) -> int:
     f'{total[0]} faults: {total[4]} checkpoints lost, {total[3]} states '
     f'different of {total[2]}, {total[0] - total[1]} ends unexplained.'
   )
-  report: dict[str, Any] = {
-    'benchmark': 'faults',
-    'table': [vars(row) for row in rows],
-    'kills': _KILLS.value,
-    'seed': _SEED.value,
-  }
-  common.write_report(out, report)
-  return app.EXIT_UNSOLVED if any(map(_failed, rows)) else 0
+  report = {'benchmark': 'faults', 'table': [vars(row) for row in rows]}
+  common.write_report(out, {**report, 'kills': _KILLS.value})
+  return app.EXIT_UNSOLVED if any(map(_has_failed, rows)) else 0
 
 
 def cli() -> None:
