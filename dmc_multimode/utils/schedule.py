@@ -61,7 +61,7 @@ def constant(value: float) -> Schedule:
 
 
 def parse(text: str) -> Schedule:
-  """Returns the schedule of a text FIRST[:LAST][@START[:END]].
+  """Returns the schedule of a text `FIRST[:LAST][@START[:END]]`.
 
   `0.5` stays, `0:0.5@8e6` jumps after 8 million steps, `0.5:0.1@10e6:14e6`
   takes from 10 to 14 million.
