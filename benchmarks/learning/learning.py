@@ -29,6 +29,7 @@ from benchmarks.learning import learners
 from dmc_multimode.bin import app
 from dmc_multimode.evaluation import episodes as evaluation_episodes
 from dmc_multimode.evaluation import evaluator as scoring
+from dmc_multimode.evaluation import scores
 from dmc_multimode.experiments import setup
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
@@ -132,7 +133,7 @@ def judge(learner: learners.Learner, config: setup.RunConfig) -> dict[str, Any]:
   evaluator = _Evaluator(
     candidate, dataclasses.replace(config.task, events=events.NONE), config.seed
   )
-  return scoring.report(evaluator, _EPISODES, clock_rate=1.0)
+  return scores.report(evaluator, _EPISODES, clock_rate=1.0)
 
 
 def compare(

@@ -89,8 +89,8 @@ def judge(
   motion = mode_set.motions[mode_set.index(second)]
   kept = []
   for trace in evaluator.traces(found, motion.duration):
-    verdicts = acceptance.judge(motion, [trace])
-    kept.append(all(verdict.kept for verdict in verdicts))
+    findings = acceptance.check(motion, [trace])
+    kept.append(all(finding.passed for finding in findings))
   row = {
     'succeeded': int(np.sum(kept)),
     'of': phases,

@@ -26,6 +26,7 @@ from benchmarks.reliability import robustness_cases
 from dmc_multimode import pretrained
 from dmc_multimode.bin import app
 from dmc_multimode.evaluation import evaluator as scoring
+from dmc_multimode.evaluation import scores
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import events
 
@@ -71,10 +72,10 @@ def judge(
 ) -> Row:
   """Returns the scores of `policy` in a case."""
   evaluator = Evaluator(robustness_cases.CASES[name], policy, seed)
-  modes = scoring.evaluate_modes(
-    evaluator, scoring.MODE_FACTOR * episodes, clock_rate=1.0
+  modes = scores.evaluate_modes(
+    evaluator, scores.MODE_FACTOR * episodes, clock_rate=1.0
   )
-  transitions = scoring.evaluate_transitions(evaluator, episodes)
+  transitions = scores.evaluate_transitions(evaluator, episodes)
   row: Row = {'name': name}
   for kind, found in (('modes', modes), ('transitions', transitions)):
     for key in ('mra', 'survival'):

@@ -9,18 +9,19 @@ in place of `python`, several processes share the episodes.
 
 import functools
 import json
-import math
 import pathlib
-from typing import Any, Sequence
+from typing import Any, Sequence, TYPE_CHECKING
 
 from absl import flags
 
 from dmc_multimode.agents import distributed
 from dmc_multimode.bin import app
-from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.experiments import ranks
 from dmc_multimode.utils import files
 from dmc_multimode.viewer import gl
+
+if TYPE_CHECKING:
+  from dmc_multimode import pretrained
 
 _POLICY = flags.DEFINE_string(
   'policy', None, 'Name of a shipped policy, or a folder.', required=True
@@ -48,14 +49,11 @@ _CLOCK_RATE = flags.DEFINE_float('clock_rate', 1.0, 'Of the modes.')
 
 
 def _rates() -> list[float]:
-  """Returns --clock_rates; raises ValueError if they are none."""
+  """Returns --clock_rates."""
   try:
-    rates = [float(rate) for rate in _CLOCK_RATES.value or ()]
+    return [float(rate) for rate in _CLOCK_RATES.value or ()]
   except ValueError as error:
     raise ValueError(f'--clock_rates: {error}.') from error
-  if not all(0 < rate < math.inf for rate in rates):
-    raise ValueError('--clock_rates must be positive and finite.')
-  return rates
 
 
 def _why_no_videos() -> str:
@@ -74,32 +72,26 @@ def _evaluate(no_videos: str, communicator: distributed.Communicator) -> None:
   """Evaluates; rank 0 reports."""
   # These import dm_control, which reads what draws.
   from dmc_multimode import pretrained
-  from dmc_multimode.evaluation import evaluator as scoring
-  from dmc_multimode.suite.imitation import events
+  from dmc_multimode.evaluation import scores
 
-  if _EPISODES.value < 1:
-    raise ValueError(f'--episodes must be positive, got {_EPISODES.value}.')
-  rates = _rates()
   out = files.output_file('out', _OUT.value)
   page = files.output_file('html', _HTML.value)
   folder = files.output_folder('figures', _FIGURES.value)
+  rates = _rates()
   policy = pretrained.load(_POLICY.value)
   encoder_seed = _encoder_seed(_POLICY.value)
-  config = config_flags.replace(policy.config, events=events.NONE)
-  if _TIMESTEP.value is not None:
-    config = config_flags.replace(config, physics_timestep=_TIMESTEP.value)
-  evaluator = scoring.Evaluator(
-    policy, config, _SEED.value, communicator=communicator
+  values = scores.evaluate(
+    policy,
+    _SEED.value,
+    _EPISODES.value,
+    _CLOCK_RATE.value,
+    rates,
+    _TIMESTEP.value,
+    communicator=communicator,
   )
-  values = scoring.report(evaluator, _EPISODES.value, _CLOCK_RATE.value)
-  if rates:
-    values['clock_rates'] = scoring.evaluate_clock_rates(
-      evaluator, scoring.MODE_FACTOR * _EPISODES.value, rates
-    )
-  values['provenance'] = {**policy.provenance, 'encoder_seed': encoder_seed}
+  values['provenance']['encoder_seed'] = encoder_seed
   if communicator.rank == 0:
-    evaluator = scoring.Evaluator(policy, config, _SEED.value)
-    _report(values, out, page, folder, evaluator, no_videos)
+    _report(policy, values, out, page, folder, no_videos)
 
 
 def _encoder_seed(name: str) -> int | None:
@@ -115,23 +107,27 @@ def _encoder_seed(name: str) -> int | None:
 
 
 def _report(
+  policy: 'pretrained.Policy',
   values: dict[str, Any],
   out: pathlib.Path | None,
   page: pathlib.Path | None,
   folder: pathlib.Path | None,
-  evaluator: Any,
   no_videos: str,
 ) -> None:
   """Prints, writes and draws what there is to be told."""
   from dmc_multimode.evaluation import figures
   from dmc_multimode.evaluation import report
+  from dmc_multimode.evaluation import scores
 
   report.show(values)
   if out:
     out.parent.mkdir(parents=True, exist_ok=True)
     files.write(out, json.dumps(values, indent=1).encode())
     print(f'The report is in {out}')
-  drawn = report.draw(evaluator, values) if folder or page else {}
+  if not (folder or page):
+    return
+  evaluator = scores.make_evaluator(policy, _SEED.value, _TIMESTEP.value)
+  drawn = report.draw(evaluator, values)
   if folder:
     for name, figure in drawn.items():
       figures.save(folder / name, figure)
@@ -142,7 +138,7 @@ def _report(
       print(f'No videos: {no_videos}')
     else:
       videos = report.film(
-        evaluator.policy, evaluator.config, _SEED.value, _CLOCK_RATE.value
+        policy, evaluator.config, _SEED.value, _CLOCK_RATE.value
       )
     title = f'Evaluation of {_POLICY.value}'
     report.write_page(page, title, values, drawn, videos, no_videos)
@@ -157,7 +153,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def cli() -> None:
-  """Console script."""
+  """Runs as a console script."""
   app.run(main)
 
 

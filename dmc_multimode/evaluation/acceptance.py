@@ -1,7 +1,7 @@
-"""What a mode promises, judged by what the body did: beyond the reward.
+"""Acceptance criteria of the modes: what the body has to do beyond the reward.
 
 The reward asks for the trunk alone, and a shuffle on both feet may be paid as
-well as a walk. What a mode promises follows from its reference: one that stands
+well as a walk. A mode's criteria follow from its reference: one that stands
 stays where it is; a gait keeps its speed and its height, or rises in every
 cycle where the reference does, and sets its feet down in turns where those of
 the reference alternate; a bounding mode rises and flies in every cycle; a jump
@@ -26,8 +26,8 @@ _FLIGHT = 0.45  # Of the reference's time in the air.
 _STANCE = 1.0  # Seconds that a jump has to stand where it led to.
 
 
-class Promise(NamedTuple):
-  """A metric of a mode and the bounds that it has to be in.
+class Criterion(NamedTuple):
+  """A metric of a mode and the bounds that its mean has to be in.
 
   Attributes:
     metric: its name.
@@ -41,15 +41,15 @@ class Promise(NamedTuple):
   measure: Callable[[gait_metrics.Trace], float]
 
 
-class Verdict(NamedTuple):
-  """How a promise was kept.
+class Finding(NamedTuple):
+  """A criterion, checked.
 
   Attributes:
     metric: its name.
     value: mean over the episodes.
     worst: of the episode that was farthest off.
     least, most: the bounds.
-    kept: whether the mean is within them.
+    passed: whether the mean is within them.
   """
 
   metric: str
@@ -57,45 +57,45 @@ class Verdict(NamedTuple):
   worst: float
   least: float
   most: float
-  kept: bool
+  passed: bool
 
 
-def promises(motion: motion_lib.ReferenceMotion) -> tuple[Promise, ...]:
-  """Returns what a mode promises, by the nature of its reference."""
+def criteria(motion: motion_lib.ReferenceMotion) -> tuple[Criterion, ...]:
+  """Returns the criteria of a mode, by the nature of its reference."""
   if motion.kind == motion_lib.STEADY:
-    return (Promise('drift', -np.inf, _DRIFT, gait_metrics.drift),)
+    return (Criterion('drift', -np.inf, _DRIFT, gait_metrics.drift),)
   if motion.kind == motion_lib.TRANSIENT:
     return _of_jumps(motion)
   airborne = _time_in_the_air(motion)
   return _of_bounds(motion, airborne) if airborne else _of_gaits(motion)
 
 
-def judge(
+def check(
   motion: motion_lib.ReferenceMotion, traces: Sequence[gait_metrics.Trace]
-) -> tuple[Verdict, ...]:
-  """Judges episodes of one mode, at clock rate 1, by what it promises."""
-  verdicts = []
-  for metric, least, most, measure in promises(motion):
+) -> tuple[Finding, ...]:
+  """Checks episodes of one mode, at clock rate 1, by its criteria."""
+  findings = []
+  for metric, least, most, measure in criteria(motion):
     values = np.array([measure(trace) for trace in traces])
     worst = values[np.argmax(np.maximum(least - values, values - most))]
     mean = float(values.mean())
-    kept = least <= mean <= most
-    verdicts.append(Verdict(metric, mean, float(worst), least, most, kept))
-  return tuple(verdicts)
+    passed = least <= mean <= most
+    findings.append(Finding(metric, mean, float(worst), least, most, passed))
+  return tuple(findings)
 
 
-def _of_jumps(motion: motion_lib.ReferenceMotion) -> tuple[Promise, ...]:
-  """Promises of a mode that ends somewhere else."""
+def _of_jumps(motion: motion_lib.ReferenceMotion) -> tuple[Criterion, ...]:
+  """Returns the criteria of a mode that ends somewhere else."""
   if motion.ledge is None:
     return ()
   step = motion.ledge.height
   height = float(motion.positions[-1, 2]) - step
   stance = lambda trace: gait_metrics.stance(trace, step, height)
-  return (Promise('stance', _STANCE, np.inf, stance),)
+  return (Criterion('stance', _STANCE, np.inf, stance),)
 
 
-def _of_gaits(motion: motion_lib.ReferenceMotion) -> tuple[Promise, ...]:
-  """Promises of a periodic mode that keeps to the ground."""
+def _of_gaits(motion: motion_lib.ReferenceMotion) -> tuple[Criterion, ...]:
+  """Returns the criteria of a periodic mode that keeps to the ground."""
   result = []
   moved = motion.positions[-1] - motion.positions[0]
   yaw = motion_lib.yaw(motion.orientations)
@@ -104,39 +104,39 @@ def _of_gaits(motion: motion_lib.ReferenceMotion) -> tuple[Promise, ...]:
     heading = moved[:2] / np.linalg.norm(moved[:2])
     along = lambda trace: float(trace.velocity(trace.position)[:2] @ heading)
     slack = _SPEED * speed
-    result.append(Promise('speed', speed - slack, speed + slack, along))
+    result.append(Criterion('speed', speed - slack, speed + slack, along))
   rate = float(yaw[-1] - yaw[0]) / motion.duration
   if rate:
     slack = _SPEED * abs(rate)
     result.append(
-      Promise('turn_rate', rate - slack, rate + slack, gait_metrics.turn_rate)
+      Criterion('turn_rate', rate - slack, rate + slack, gait_metrics.turn_rate)
     )
   rise = float(np.ptp(motion.positions[:, 2]))
   if rise:
-    result.append(Promise('rise', _RISE * rise, np.inf, gait_metrics.rise))
+    result.append(Criterion('rise', _RISE * rise, np.inf, gait_metrics.rise))
   else:
-    result.append(Promise('bob', -np.inf, _BOB, gait_metrics.bob))
+    result.append(Criterion('bob', -np.inf, _BOB, gait_metrics.bob))
   contacts = [] if motion.contacts is None else motion.contacts.tolist()
   if [1, 0] in contacts and [0, 1] in contacts:
     result.append(
-      Promise('alternation', _ALTERNATION, np.inf, gait_metrics.alternation)
+      Criterion('alternation', _ALTERNATION, np.inf, gait_metrics.alternation)
     )
   return tuple(result)
 
 
 def _of_bounds(
   motion: motion_lib.ReferenceMotion, airborne: float
-) -> tuple[Promise, ...]:
-  """Promises of a periodic mode that is `airborne` seconds of each cycle."""
-  flight = Promise('flight', _FLIGHT * airborne, np.inf, gait_metrics.flight)
+) -> tuple[Criterion, ...]:
+  """Returns the criteria of a gait that flies `airborne` seconds a cycle."""
+  flight = Criterion('flight', _FLIGHT * airborne, np.inf, gait_metrics.flight)
   rise = float(np.ptp(motion.positions[:, 2]))
   if not rise:
     return (flight,)
-  return (Promise('rise', _RISE * rise, np.inf, gait_metrics.rise), flight)
+  return (Criterion('rise', _RISE * rise, np.inf, gait_metrics.rise), flight)
 
 
 def _time_in_the_air(motion: motion_lib.ReferenceMotion) -> float:
-  """Seconds of a cycle in which no foot should touch the ground."""
+  """Returns the seconds of a cycle in which no foot touches the ground."""
   if motion.contacts is None:
     return 0.0
   airborne = ~motion.contacts[:-1].any(axis=1)

@@ -114,7 +114,7 @@ def clock_rates(
   """Draws the speed of every mode over the rate of its clock.
 
   Args:
-    values: what `scoring.evaluate_clock_rates` returned.
+    values: what `scores.evaluate_clock_rates` returned.
   """
   rates = [float(rate) for rate in values]
   names = list(next(iter(values.values())))

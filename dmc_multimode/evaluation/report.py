@@ -1,17 +1,23 @@
-"""What is told of an evaluation: tables on the screen, figures, a page."""
+"""Reports of an evaluation: tables on the screen, figures, a page.
 
+The page needs nothing but itself: figures and videos are in it as data.
+"""
+
+import base64
+import json
 import pathlib
 import tempfile
-from typing import Any, Mapping
+from typing import Any, Iterator, Mapping
 
+import jinja2
+import matplotlib
 import matplotlib.figure
 import numpy as np
 import tqdm
 
 from dmc_multimode import pretrained
-from dmc_multimode.evaluation import evaluator as scoring
+from dmc_multimode.evaluation import evaluator as evaluator_lib
 from dmc_multimode.evaluation import figures
-from dmc_multimode.evaluation import html_report
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.utils import files
@@ -19,6 +25,34 @@ from dmc_multimode.viewer import recording
 from dmc_multimode.viewer import rollout
 from dmc_multimode.viewer import video
 
+MODE_COLUMNS = (
+  'mra',
+  'survival',
+  'velocity',
+  'lateral_velocity',
+  'height',
+  'apex',
+  'rise',
+  'flight',
+  'alternation',
+  'single_support',
+  'agreement',
+  'drift',
+  'position_error',
+)
+_UNITS = {
+  'velocity': 'm/s',
+  'lateral_velocity': 'm/s',
+  'height': 'm',
+  'apex': 'm',
+  'rise': 'm',
+  'flight': 's',
+  'drift': 'm',
+  'position_error': 'm',
+}
+_TEMPLATE = 'report.html.j2'
+_COLOURS = 'viridis'  # Told apart in grey as well.
+_DARK = 0.5  # Luminance below which white text is read best.
 _TITLES = {
   figures.HEIGHTS_FILE: 'Height of the trunk in each mode',
   figures.SEQUENCE_FILE: 'Height through a sequence of modes',
@@ -31,7 +65,7 @@ _AFTER = 1.0  # Seconds for which a video goes on after a mode's first cycle.
 
 
 def draw(
-  evaluator: scoring.Evaluator, values: Mapping[str, Any]
+  evaluator: evaluator_lib.Evaluator, values: Mapping[str, Any]
 ) -> dict[str, matplotlib.figure.Figure]:
   """Draws every mode, a sequence of them, and what `values` has of speeds.
 
@@ -107,37 +141,120 @@ def write_page(
   Args:
     path: of the page; missing folders are made.
     title: of the page.
-    values: what `scoring.report` returned, and the policy's `provenance`.
+    values: what `scores.evaluate` returned.
     drawn: what `draw` returned.
     videos: what `film` returned, or none.
     note: why there are none.
   """
   pictures = {_TITLES[name]: figures.png(drawn[name]) for name in drawn}
-  page = html_report.make(title, values, pictures, videos, note)
+  text = page(title, values, pictures, videos, note)
   path.parent.mkdir(parents=True, exist_ok=True)
-  files.write(path, page.encode())
+  files.write(path, text.encode())
+
+
+def page(
+  title: str,
+  values: Mapping[str, Any],
+  pictures: Mapping[str, bytes],
+  videos: Mapping[str, bytes],
+  note: str = '',
+) -> str:
+  """Returns the page as HTML, in which names and values are escaped.
+
+  Args:
+    title: of the page.
+    values: what `scores.evaluate` returned.
+    pictures: PNG files by their titles.
+    videos: MP4 files by the names of modes.
+    note: why there are no videos; empty if there are.
+  """
+  environment = jinja2.Environment(
+    loader=jinja2.PackageLoader(__package__, '.'),
+    autoescape=True,
+    undefined=jinja2.StrictUndefined,
+    trim_blocks=True,
+  )
+  environment.filters.update(data=_data, heat=_heat)
+  measured = ('seed', 'episodes_per_case', 'clock_rate')
+  return environment.get_template(_TEMPLATE).render(
+    title=title,
+    values=values,
+    figures=pictures,
+    videos=videos,
+    note=note,
+    columns=[
+      f'{name.replace("_", " ")} ({_UNITS[name]})'
+      if name in _UNITS
+      else name.replace('_', ' ')
+      for name in MODE_COLUMNS
+    ],
+    mode_rows=[
+      (name, *(f'{row[key]:.3f}' for key in MODE_COLUMNS))
+      for name, row in values['modes'].items()
+    ],
+    transition_rows=[
+      (name, f'{row["mra"]:.3f}', f'{row["survival"]:.3f}')
+      for name, row in values['transitions'].items()
+    ],
+    criteria=list(_criteria(values)),
+    provenance={
+      'Evaluation': list(_flat({key: values[key] for key in measured})),
+      'Policy': list(_flat(values['provenance'])),
+      'Task': list(_flat(values['task'])),
+    },
+  )
+
+
+def _criteria(values: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+  """Yields a row for each acceptance criterion of each mode."""
+  number = lambda value: '' if value is None else f'{value:.3f}'
+  for mode, rows in values['acceptance'].items():
+    for metric, row in rows.items():
+      keys = ('value', 'worst', 'least', 'most')
+      yield {
+        'name': f'{mode}: {metric}',
+        'numbers': [number(row[key]) for key in keys],
+        'passed': row['passed'],
+      }
+
+
+def _data(content: bytes, kind: str) -> str:
+  """Returns a file as a URI that holds it."""
+  return f'data:{kind};base64,{base64.b64encode(content).decode()}'
+
+
+def _heat(share: float) -> str:
+  """Returns the style of a cell for a value in [0, 1], legible on it."""
+  red, green, blue, _ = matplotlib.colormaps[_COLOURS](share, bytes=True)
+  luminance = (0.2126 * red + 0.7152 * green + 0.0722 * blue) / 255
+  ink = '#fff' if luminance < _DARK else '#000'
+  return f'background:#{red:02x}{green:02x}{blue:02x};color:{ink}'
+
+
+def _flat(
+  values: Mapping[str, Any], prefix: str = ''
+) -> Iterator[tuple[str, str]]:
+  """Yields nested values as rows of a table."""
+  for key, value in values.items():
+    if isinstance(value, Mapping):
+      yield from _flat(value, f'{prefix}{key}.')
+    else:
+      text = value if isinstance(value, str) else json.dumps(value)
+      yield f'{prefix}{key}', text
 
 
 def show(values: Mapping[str, Any]) -> None:
   """Prints the report as tables."""
-  columns = html_report.MODE_COLUMNS
-  print(f'{"mode":16}' + ''.join(f'{name[:9]:>10}' for name in columns))
+  print(f'{"mode":16}' + ''.join(f'{name[:9]:>10}' for name in MODE_COLUMNS))
   for name, row in values['modes'].items():
-    print(f'{name:16}' + ''.join(f'{row[key]:10.3f}' for key in columns))
+    print(f'{name:16}' + ''.join(f'{row[key]:10.3f}' for key in MODE_COLUMNS))
   print(
-    f'\n{"promise":32}{"value":>10}{"worst":>10}{"least":>10}{"most":>10}'
-    f'{"kept":>6}'
+    f'\n{"criterion":32}{"value":>10}{"worst":>10}{"least":>10}{"most":>10}'
+    f'{"passed":>8}'
   )
-  for name, promises in values['behaviour'].items():
-    for metric, row in promises.items():
-      least, most = (
-        '' if row[key] is None else f'{row[key]:.3f}'
-        for key in ('least', 'most')
-      )
-      print(
-        f'{f"{name}: {metric}":32}{row["value"]:10.3f}{row["worst"]:10.3f}'
-        f'{least:>10}{most:>10}{"yes" if row["kept"] else "NO":>6}'
-      )
+  for row in _criteria(values):
+    numbers = ''.join(f'{number:>10}' for number in row['numbers'])
+    print(f'{row["name"]:32}{numbers}{"yes" if row["passed"] else "NO":>8}')
   print(f'\n{"transition":36}{"mra":>10}{"survival":>10}')
   for name, row in values['transitions'].items():
     print(f'{name:36}{row["mra"]:10.3f}{row["survival"]:10.3f}')

@@ -74,12 +74,11 @@ def test_report(
   assert report['task']['reference_starts'] == report['task']['edge_noise'] == 0
   for name in (*_MODES, *pairs):
     assert name in done.stdout
-  # An untrained policy keeps no promise but to stay where it is, if that.
-  behaviour = report['behaviour']
-  assert set(behaviour) == set(_MODES)
-  speed = behaviour['walk_forward']['speed']
+  # An untrained policy passes nothing but to stay where it is, if that.
+  assert set(report['acceptance']) == set(_MODES)
+  speed = report['acceptance']['walk_forward']['speed']
   assert (speed['least'], speed['most']) == pytest.approx((0.5, 0.7))
-  assert not speed['kept']  # It tumbles.
+  assert not speed['passed']  # It tumbles.
   assert 'walk_forward: speed' in done.stdout
 
 

@@ -1,4 +1,4 @@
-"""Tests of dmc_multimode.suite.behaviour."""
+"""Tests of dmc_multimode.evaluation.acceptance."""
 
 import dataclasses
 import json
@@ -41,10 +41,10 @@ def _perfect(motion: motion_lib.ReferenceMotion) -> gait_metrics.Trace:
   )
 
 
-def _verdicts(
+def _findings(
   motion: motion_lib.ReferenceMotion, *traces: gait_metrics.Trace
-) -> dict[str, acceptance.Verdict]:
-  return {v.metric: v for v in acceptance.judge(motion, traces)}
+) -> dict[str, acceptance.Finding]:
+  return {v.metric: v for v in acceptance.check(motion, traces)}
 
 
 @pytest.mark.parametrize(
@@ -64,10 +64,10 @@ def _verdicts(
     ('launch', {'stance': (1.0, np.inf)}),
   ],
 )
-def test_promises(name: str, expected: dict[str, tuple[float, float]]) -> None:
+def test_criteria(name: str, expected: dict[str, tuple[float, float]]) -> None:
   found = {
-    promise.metric: (promise.least, promise.most)
-    for promise in acceptance.promises(_MODES[name])
+    criterion.metric: (criterion.least, criterion.most)
+    for criterion in acceptance.criteria(_MODES[name])
   }
   assert found.keys() == expected.keys()
   for metric, bounds in expected.items():
@@ -75,15 +75,15 @@ def test_promises(name: str, expected: dict[str, tuple[float, float]]) -> None:
 
 
 @pytest.mark.parametrize('name', _MODES)
-def test_a_perfect_body_keeps_every_promise(name: str) -> None:
+def test_a_perfect_body_passes_all(name: str) -> None:
   motion = _MODES[name]
-  verdicts = _verdicts(motion, _perfect(motion))
-  assert verdicts and all(v.kept for v in verdicts.values()), verdicts
-  json.dumps([v.kept for v in verdicts.values()])  # As a report has it.
+  findings = _findings(motion, _perfect(motion))
+  assert findings and all(v.passed for v in findings.values()), findings
+  json.dumps([v.passed for v in findings.values()])  # As a report has it.
 
 
 @pytest.mark.parametrize('name', _MODES)
-def test_a_body_that_stands_keeps_none_that_moves(name: str) -> None:
+def test_a_body_that_stands_fails_all_that_ask_to_move(name: str) -> None:
   motion = _MODES[name]
   perfect = _perfect(motion)
   still = np.zeros_like(perfect.position)
@@ -94,9 +94,9 @@ def test_a_body_that_stands_keeps_none_that_moves(name: str) -> None:
     yaw=np.zeros(len(still)),
     contact=np.ones_like(perfect.contact),
   )
-  broken = {m for m, v in _verdicts(motion, trace).items() if not v.kept}
+  failed = {m for m, v in _findings(motion, trace).items() if not v.passed}
   held = {'drift', 'bob'}
-  assert broken == {p.metric for p in acceptance.promises(motion)} - held
+  assert failed == {p.metric for p in acceptance.criteria(motion)} - held
 
 
 def test_mean_decides_and_the_worst_is_named() -> None:
@@ -107,22 +107,22 @@ def test_mean_decides_and_the_worst_is_named() -> None:
     position = perfect.position.copy()
     position[50:, 1] += way
     traces.append(perfect._replace(position=position))
-  verdict = _verdicts(motion, *traces)['drift']
-  assert verdict.value == pytest.approx(0.04)
-  assert verdict.worst == pytest.approx(0.08)
-  assert verdict.kept
+  finding = _findings(motion, *traces)['drift']
+  assert finding.value == pytest.approx(0.04)
+  assert finding.worst == pytest.approx(0.08)
+  assert finding.passed
 
 
 @pytest.mark.parametrize('speed', [0.45, 0.75])
 def test_a_walk_keeps_its_speed(speed: float) -> None:
   motion = _MODES['walk_forward']
   perfect = _perfect(motion)
-  verdict = _verdicts(
+  finding = _findings(
     motion,
     perfect._replace(position=perfect.position * [speed / 0.6, 1.0, 1.0]),
   )['speed']
-  assert verdict.value == pytest.approx(speed, abs=0.01)
-  assert not verdict.kept
+  assert finding.value == pytest.approx(speed, abs=0.01)
+  assert not finding.passed
 
 
 def test_a_squat_rises() -> None:
@@ -136,16 +136,16 @@ def test_a_squat_rises() -> None:
     orientations=np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)),
     contacts=np.ones((3, 2)),
   )
-  verdict = _verdicts(motion, _perfect(motion))['rise']
-  assert verdict.least == pytest.approx(0.06)
-  assert verdict.value == pytest.approx(0.1, abs=0.01) and verdict.kept
+  finding = _findings(motion, _perfect(motion))['rise']
+  assert finding.least == pytest.approx(0.06)
+  assert finding.value == pytest.approx(0.1, abs=0.01) and finding.passed
   standing = _perfect(_MODES['idle'])._replace(cycle=1.2)
-  found = _verdicts(motion, standing)
-  assert list(found) == ['rise'] and not found['rise'].kept
+  found = _findings(motion, standing)
+  assert list(found) == ['rise'] and not found['rise'].passed
 
 
-def test_modes_of_which_little_is_known_promise_little() -> None:
+def test_modes_of_which_little_is_known_have_few_criteria() -> None:
   walk = dataclasses.replace(_MODES['walk_forward'], contacts=None)
-  assert [p.metric for p in acceptance.promises(walk)] == ['speed', 'bob']
+  assert [p.metric for p in acceptance.criteria(walk)] == ['speed', 'bob']
   jump = dataclasses.replace(_MODES['launch'], ledge=None)
-  assert acceptance.promises(jump) == ()
+  assert acceptance.criteria(jump) == ()

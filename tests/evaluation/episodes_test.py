@@ -1,4 +1,4 @@
-"""Tests of dmc_multimode.agents.evaluation."""
+"""Tests of dmc_multimode.evaluation.episodes."""
 
 from unittest import mock
 

@@ -1,4 +1,4 @@
-"""Tests of dmc_multimode.suite.body."""
+"""Tests of dmc_multimode.evaluation.gait_metrics."""
 
 from typing import Any
 

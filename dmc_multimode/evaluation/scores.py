@@ -1,0 +1,229 @@
+"""The scores of a policy: every mode, every transition, and its gaits.
+
+MRA is the mean normalised return of Krishna and Nguyen, Table II: the share of
+the highest reward that an episode earns, 1 being the most.
+"""
+
+import dataclasses
+import itertools
+import os
+from typing import Any, Sequence
+
+import numpy as np
+
+from dmc_multimode import pretrained
+from dmc_multimode.agents import distributed
+from dmc_multimode.evaluation import acceptance
+from dmc_multimode.evaluation import episodes as evaluation_episodes
+from dmc_multimode.evaluation import evaluator as evaluator_lib
+from dmc_multimode.evaluation import gait_metrics
+from dmc_multimode.modes import schedule as schedule_lib
+from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.suite.imitation import events
+from dmc_multimode.suite.imitation import terminations
+
+MODE_FACTOR = 4  # Episodes of a mode for one of each transition.
+
+
+def evaluate(
+  policy: str | os.PathLike[str] | pretrained.Policy,
+  seed: int = 0,
+  episodes: int = 4,
+  clock_rate: float = 1.0,
+  clock_rates: Sequence[float] = (),
+  physics_timestep: float | None = None,
+  quiet: bool = False,
+  communicator: distributed.Communicator = distributed.LOCAL,
+) -> dict[str, Any]:
+  """Measures a policy: every mode, every transition, without exploration.
+
+  Args:
+    policy: name of a shipped one, a folder, or a policy.
+    seed: of the initial states.
+    episodes: of each transition at each phase and clip; modes get 4 times.
+    clock_rate: of the modes.
+    clock_rates: at which to measure besides how fast the modes go.
+    physics_timestep: seconds; that of the training if None.
+    quiet: hides the progress bars.
+    communicator: of the ranks, which share the episodes.
+
+  Returns:
+    JSON-able values: see `report`, and the policy's `provenance`.
+
+  Raises:
+    FileNotFoundError: there is no such policy.
+    ValueError: a file is damaged, or a number is out of bounds.
+  """
+  if episodes < 1:
+    raise ValueError(f'episodes must be positive, got {episodes}.')
+  if not all(0 < rate < np.inf for rate in clock_rates):
+    raise ValueError('clock_rates must be positive and finite.')
+  if isinstance(policy, (str, os.PathLike)):
+    policy = pretrained.load(policy)
+  evaluator = make_evaluator(
+    policy, seed, physics_timestep, quiet, communicator
+  )
+  values = report(evaluator, episodes, clock_rate)
+  if clock_rates:
+    values['clock_rates'] = evaluate_clock_rates(
+      evaluator, MODE_FACTOR * episodes, clock_rates
+    )
+  values['provenance'] = dict(policy.provenance)
+  return values
+
+
+def make_evaluator(
+  policy: pretrained.Policy,
+  seed: int = 0,
+  physics_timestep: float | None = None,
+  quiet: bool = False,
+  communicator: distributed.Communicator = distributed.LOCAL,
+) -> evaluator_lib.Evaluator:
+  """Returns what evaluates a policy on its own task; see `evaluate`."""
+  config = dataclasses.replace(policy.config, events=events.NONE)
+  if physics_timestep is not None:
+    config = dataclasses.replace(config, physics_timestep=physics_timestep)
+  return evaluator_lib.Evaluator(policy, config, seed, quiet, communicator)
+
+
+def evaluate_modes(
+  evaluator: evaluator_lib.Evaluator, episodes: int, clock_rate: float
+) -> dict[str, dict[str, float]]:
+  """Measures every mode alone: its MRA, survival and what the body did."""
+  bank = evaluator.mode_set.bank
+  modes = np.repeat(np.arange(len(bank)), episodes)
+  found = evaluator.run(schedule_lib.single(modes, clock_rate), 'modes')
+  result = {}
+  for i, name in enumerate(bank.names):
+    mine = found.rows(np.flatnonzero(modes == i))
+    traces = evaluator.traces(mine, bank.durations[i] / clock_rate)
+    rows = [gait_metrics.metrics(trace) for trace in traces]
+    result[name] = {
+      'mra': float(mine.returns.mean()),
+      'survival': float(mine.survived.mean()),
+      **{key: float(np.mean([row[key] for row in rows])) for key in rows[0]},
+    }
+  return result
+
+
+def evaluate_clock_rates(
+  evaluator: evaluator_lib.Evaluator, episodes: int, rates: Sequence[float]
+) -> dict[str, dict[str, dict[str, float]]]:
+  """Measures how fast modes that travel go at other rates of their clocks.
+
+  A robot that cannot keep up with its reference goes on: only a fall ends an
+  episode.
+
+  Returns:
+    By rate and mode: velocity along the mode's way and that of its reference,
+    m/s, and survival. Empty where no mode travels.
+  """
+  bank = evaluator.mode_set.bank
+  limits = terminations.falls_alone(evaluator.config.limits)
+  free = evaluator.changed(limits=limits)
+  lengths = np.linalg.norm(bank.displacements[:, :2], axis=1)
+  travelling = np.flatnonzero(lengths)
+  if not len(travelling):
+    return {}
+  modes = np.repeat(travelling, episodes)
+  result: dict[str, dict[str, dict[str, float]]] = {}
+  for rate in rates:
+    found = free.run(schedule_lib.single(modes, rate), f'clock rate {rate:g}')
+    row = result[f'{rate:g}'] = {}
+    for i in travelling:
+      mine = found.rows(np.flatnonzero(modes == i))
+      way = bank.displacements[i, :2] / lengths[i]
+      traces = free.traces(mine, bank.durations[i] / rate)
+      speeds = [t.velocity(t.position)[:2] @ way for t in traces]
+      row[bank.names[i]] = {
+        'reference': float(rate * lengths[i] / bank.durations[i]),
+        'velocity': float(np.mean(speeds)),
+        'survival': float(mine.survived.mean()),
+      }
+  return result
+
+
+def evaluate_acceptance(
+  evaluator: evaluator_lib.Evaluator, episodes: int
+) -> dict[str, dict[str, dict[str, Any]]]:
+  """Checks every mode by its acceptance criteria: see `acceptance`."""
+  bank = evaluator.mode_set.bank
+  longer = evaluator.changed(time_limit=acceptance.DURATION)
+  modes = np.repeat(np.arange(len(bank)), episodes)
+  run = longer.run(schedule_lib.single(modes), 'acceptance')
+  result = {}
+  for i, motion in enumerate(bank.motions):
+    mine = run.rows(np.flatnonzero(modes == i))
+    traces = longer.traces(mine, motion.duration)
+    result[motion.name] = {
+      found.metric: {
+        'value': found.value,
+        'worst': found.worst,
+        'least': found.least if np.isfinite(found.least) else None,
+        'most': found.most if np.isfinite(found.most) else None,
+        'passed': found.passed,
+      }
+      for found in acceptance.check(motion, traces)
+    }
+  return result
+
+
+def evaluate_transitions(
+  evaluator: evaluator_lib.Evaluator, episodes: int
+) -> dict[str, dict[str, float]]:
+  """Measures all n x n transitions, at each switch phase and clip of Alg. 1."""
+  mode_set = evaluator.mode_set
+  n = len(mode_set)
+  cases = np.array(
+    list(
+      itertools.product(
+        range(n),
+        range(n),
+        schedule_lib.CLIPS,
+        schedule_lib.SWITCH_PHASES,
+        range(episodes),
+      )
+    )
+  )
+  initial, final = cases[:, 0].astype(int), cases[:, 1].astype(int)
+  found = evaluator.run(
+    schedule_lib.transitions(
+      mode_set,
+      initial,
+      final,
+      cases[:, 2],
+      cases[:, 3],
+      evaluator.config.commands_from_ground,
+    ),
+    'transitions',
+  )
+  result = {}
+  for i, f in itertools.product(range(n), range(n)):
+    mine = found.rows(np.flatnonzero((initial == i) & (final == f)))
+    result[f'{mode_set.names[i]}->{mode_set.names[f]}'] = {
+      'mra': float(mine.returns.mean()),
+      'survival': float(mine.survived.mean()),
+    }
+  return result
+
+
+def report(
+  evaluator: evaluator_lib.Evaluator, episodes: int, clock_rate: float
+) -> dict[str, Any]:
+  """Returns the whole report as JSON-able values."""
+  modes = evaluate_modes(evaluator, MODE_FACTOR * episodes, clock_rate)
+  transitions = evaluate_transitions(evaluator, episodes)
+  gather = lambda rows, key: np.array([row[key] for row in rows.values()])
+  return {
+    'mra_modes': evaluation_episodes.summary(gather(modes, 'mra')),
+    'mra_transitions': evaluation_episodes.summary(gather(transitions, 'mra')),
+    'survival_modes': float(gather(modes, 'survival').mean()),
+    'survival_transitions': float(gather(transitions, 'survival').mean()),
+    'modes': modes,
+    'acceptance': evaluate_acceptance(evaluator, MODE_FACTOR * episodes),
+    'transitions': transitions,
+    'seed': evaluator.seed,
+    'episodes_per_case': episodes,
+    'clock_rate': clock_rate,
+    'task': task_config.to_dict(evaluator.config),
+  }
