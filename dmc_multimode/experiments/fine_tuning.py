@@ -20,7 +20,7 @@ from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes.encoder import extension
 from dmc_multimode.modes.encoder import training as encoder_training
 from dmc_multimode.pretrained import policy as policy_lib
-from dmc_multimode.suite.imitation import privileged
+from dmc_multimode.suite.imitation import observations
 from dmc_multimode.utils import resources
 
 # Enough exploration to find a new motion near those that are known.
@@ -145,7 +145,8 @@ class Start:
         )
     if config.one_hot:
       raise ValueError(f'--one_hot: {self.name} knows modes by their latents.')
-    more = privileged.size(self.policy.mode_set.latent_dim)
+    size, latent_dim = observations.size, self.policy.mode_set.latent_dim
+    more = size(latent_dim, privileged=True) - size(latent_dim)
     if network.privileged_size not in (0, more):
       raise ValueError(
         f'The value function of {self.name} sees {network.privileged_size} '

@@ -162,7 +162,7 @@ def _untrained(description: dict[str, Any]) -> Policy:
   ):
     raise ValueError(f'hidden sizes {hidden} are out of bounds.')
   mode_set = mode_files.mode_set_from_dict(description)
-  size = 2 + mode_set.latent_dim + observations.STATE_SIZE
+  size = observations.size(mode_set.latent_dim)
   activation = description.get('activation', 'elu')  # As it once was.
   if activation not in networks.ACTIVATIONS:
     raise ValueError(f'activation {activation!r} is unknown.')

@@ -10,7 +10,6 @@ from dmc_multimode.modes import mode_set
 from dmc_multimode.modes.encoder import training as encoder_training
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import observations
-from dmc_multimode.suite.imitation import privileged
 
 
 def save(
@@ -21,7 +20,7 @@ def save(
 ) -> None:
   """Writes a small policy with one-hot commands for `modes` into a folder."""
   known = mode_set.one_hot(library.resolve(modes))
-  size = 2 + known.latent_dim + observations.STATE_SIZE
+  size = observations.size(known.latent_dim)
   network = networks.ActorCritic(size, observations.NUM_JOINTS, (8,))
   pretrained.Policy(network, (8,), known, task, provenance).save(folder)
 
@@ -39,13 +38,13 @@ def save_with_encoder(
   )
   encoder.save(folder)
   book = encoder.codebook()
-  size = 2 + book.latent_dim + observations.STATE_SIZE
+  size = observations.size(book.latent_dim)
   policy = pretrained.Policy(
     networks.ActorCritic(
       size,
       observations.NUM_JOINTS,
       (16,),
-      privileged_size=privileged.size(book.latent_dim),
+      privileged_size=observations.size(book.latent_dim, True) - size,
       activation='silu',
     ),
     (16,),

@@ -21,7 +21,7 @@ from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import observations
 
 _MODES = ('idle', 'walk_forward')
-_SIZE = 2 + 3 + observations.STATE_SIZE
+_SIZE = observations.size(3)
 _ABSENT = object()
 
 
@@ -174,7 +174,7 @@ def test_weights_of_another_privileged_size(folder: pathlib.Path) -> None:
 
 def test_shipped_policy_loads() -> None:
   policy = pretrained.load('quickstart')
-  size = 2 + policy.mode_set.latent_dim + observations.STATE_SIZE
+  size = observations.size(policy.mode_set.latent_dim)
   assert policy.network.observation_size == size
   seen = np.zeros((3, size), np.float32)
   assert policy.select_action(seen).shape == (3, observations.NUM_JOINTS)

@@ -18,7 +18,6 @@ from dmc_multimode.suite.imitation import core as imitation_core
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import mujoco_worlds
 from dmc_multimode.suite.imitation import observations
-from dmc_multimode.suite.imitation import privileged as privileged_lib
 from dmc_multimode.suite.imitation import symmetry as task_symmetry
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.walkers import mini_biped
@@ -104,8 +103,8 @@ class BatchedImitation:
       num_threads: of the physics; 0 takes every core.
       auto_reset: whether a world that ends begins anew by itself. Without, it
         just runs on, and only its first end is reported.
-      privileged: whether observations end with what only a value function may
-        see, `privileged`: D then grows from 33 + n_m to 42 + 2 n_m.
+      privileged: ends observations with the privileged critic observations: D
+        then grows from 33 + n_m to 42 + 2 n_m.
       replicas: how many environments like this one train together. Of several,
         none learns from its own episodes alone: tell each by `learn`.
       model: what `mujoco_worlds.compile_model` makes of the task, or that with
@@ -119,9 +118,9 @@ class BatchedImitation:
     self._action_spec = task.walker.action_spec
     self._auto_reset = auto_reset
     self._replicas = replicas
-    self.privileged_size = (
-      privileged_lib.size(self.mode_set.latent_dim) if privileged else 0
-    )
+    latent_dim = task.mode_set.latent_dim
+    self._size = observations.size(latent_dim, privileged)
+    self.privileged_size = self._size - observations.size(latent_dim)
     self._random_state = (
       seed
       if isinstance(seed, np.random.RandomState)
@@ -147,9 +146,7 @@ class BatchedImitation:
 
   def observation_spec(self) -> specs.Array:
     """One world's observation, float32 [D]; see `observations`."""
-    size = 2 + self.mode_set.latent_dim + observations.STATE_SIZE
-    size += self.privileged_size
-    return specs.Array((size,), np.float32, name='observation')
+    return specs.Array((self._size,), np.float32, name='observation')
 
   def action_spec(self) -> specs.BoundedArray:
     """One world's action: joint targets in radians, [10]."""

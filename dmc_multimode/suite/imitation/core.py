@@ -10,7 +10,7 @@ termination against the mode that was in force); `switch` (a command that is due
 re-anchors the reference); `observe` (what the next action sees).
 """
 
-from typing import Mapping, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes as episodes_lib
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import observations
-from dmc_multimode.suite.imitation import privileged
 from dmc_multimode.suite.imitation import resets
 from dmc_multimode.suite.imitation import rewards
 from dmc_multimode.suite.imitation import terminations
@@ -264,18 +263,20 @@ class ImitationCore:
     state = self.tracker.state
     terrain = self._ground(ids)
     return observations.observe(
-      qpos,
-      qvel,
-      terrain_lib.support_height(terrain, qpos[:, 0]),
-      state.heading[ids],
-      state.phase[ids],
-      self.tracker.commands()[ids],
+      observations.policy_view(
+        qpos,
+        qvel,
+        terrain_lib.support_height(terrain, qpos[:, 0]),
+        state.heading[ids],
+        state.phase[ids],
+        self.tracker.commands()[ids],
+      )
     )
 
   def observe_privileged(
     self, qpos: np.ndarray, ids: np.ndarray | slice = slice(None)
-  ) -> Mapping[str, np.ndarray]:
-    """Returns what only a value function sees; see `privileged`.
+  ) -> dict[str, np.ndarray]:
+    """Returns the privileged critic observations; see `observations`.
 
     Args:
       qpos: of the worlds `ids`, [N, 17].
@@ -284,12 +285,14 @@ class ImitationCore:
     countdown, following = self.tracker.upcoming(ids)
     x = qpos[:, 0]
     terrain = self._ground(ids)
-    return privileged.observe(
-      qpos[:, :3],
-      self.reference(x, ids).position,
-      self.tracker.state.heading[ids],
-      self.contact[ids],
-      countdown,
-      following,
-      *terrain_lib.next_segment(terrain, x),
+    return observations.observe_privileged(
+      observations.CriticView(
+        qpos[:, :3],
+        self.reference(x, ids).position,
+        self.tracker.state.heading[ids],
+        self.contact[ids],
+        countdown,
+        following,
+        *terrain_lib.next_segment(terrain, x),
+      )
     )

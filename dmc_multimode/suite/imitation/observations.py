@@ -1,30 +1,212 @@
-"""What the policy sees: pure functions with a leading batch axis.
+"""What the policy and the value function see: pure, with a leading batch axis.
 
-The flat observation is [clock (2), command (n_m), state (31)], in the order of
-`layout`. Orientation and heading-dependent quantities are relative to the
-commanded heading, never to the world.
+`POLICY_TERMS` and `CRITIC_TERMS` declare every part of the flat observation, in
+order: the policy's are [clock (2), command (n_m), state (31)] as in the paper.
+Sizes, the layout and the left-right mirror image follow from the declarations.
+Orientation and heading-dependent quantities are relative to the commanded
+heading, never to the world.
+
+The policy knows neither where the robot is nor what comes next, yet both decide
+the return: the distance from the reference is paid for in every step, and a
+command that is due soon changes everything. A value function that is only used
+in training may know them (an asymmetric critic, Pinto et al. 2017), which takes
+their variance out of the advantages: the privileged critic observations.
 """
 
-from typing import Mapping
+import dataclasses
+from typing import Any, Callable, Mapping, NamedTuple
 
 import numpy as np
 from scipy.spatial import transform
 
 NUM_JOINTS = 10
-_STATE_SIZES = (
-  ('height', 1),
-  ('orientation', 4),
-  ('joints_pos', NUM_JOINTS),
-  ('velocity', 3),
-  ('angular_velocity', 3),
-  ('joints_vel', NUM_JOINTS),
+_IDENTITY = (1.0, 0.0, 0.0, 0.0)
+_HORIZON = 1.5  # Seconds: commands later than this matter little.
+_SIGHT = 1.0  # Metres: what is farther ahead matters little.
+
+
+class PolicyView(NamedTuple):
+  """What the policy's terms are computed of; see `policy_view`.
+
+  Attributes:
+    qpos: free joint (world position in metres, quaternion), then the joints in
+      radians, [B, 17].
+    qvel: free joint (world linear velocity in m/s, angular velocity in the
+      trunk frame in rad/s), then the joints in rad/s, [B, 16].
+    support: height of the support plane under the trunk, metres, [B].
+    heading: commanded heading, radians, [B].
+    phase: in [0, 1], [B].
+    command: latent of the commanded mode, [B, n_m].
+    quaternion: of the trunk, (w, x, y, z), finite, [B, 4].
+    trunk: the same as rotations, B of them.
+  """
+
+  qpos: np.ndarray
+  qvel: np.ndarray
+  support: np.ndarray
+  heading: np.ndarray
+  phase: np.ndarray
+  command: np.ndarray
+  quaternion: np.ndarray
+  trunk: transform.Rotation
+
+
+class CriticView(NamedTuple):
+  """What the critic's terms are computed of.
+
+  Attributes:
+    position, reference: of the trunk, world metres, [B, 3].
+    heading: commanded heading, radians, [B].
+    contact: feet on the ground (left, right), 0 or 1, [B, 2].
+    countdown: seconds until the next command, infinite without one, [B].
+    next_command: its latent, [B, n_m].
+    edge: where the next segment of the ground starts, world metres, infinite
+      without one, [B].
+    rise: its height over the ground here, metres, [B].
+    gap: of nothing before it, metres, [B].
+  """
+
+  position: np.ndarray
+  reference: np.ndarray
+  heading: np.ndarray
+  contact: np.ndarray
+  countdown: np.ndarray
+  next_command: np.ndarray
+  edge: np.ndarray
+  rise: np.ndarray
+  gap: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Term:
+  """One part of the flat observation.
+
+  Attributes:
+    name: of the part.
+    unit: of its numbers; empty for none.
+    function: computes it of a view, [B, size].
+    size: how many numbers; None for those of a latent, which is mirrored by the
+      mode that it stands for.
+    signs: of its numbers in the left-right mirror image, [size]; all 1 if None.
+    order: which of its numbers each is in the mirror image, [size]; itself if
+      None.
+  """
+
+  name: str
+  unit: str
+  function: Callable[[Any], np.ndarray]
+  size: int | None = 1
+  signs: tuple[int, ...] | None = None
+  order: tuple[int, ...] | None = None
+
+
+# Equal angles of the two legs, left leg first, are mirror images.
+_LEGS_EXCHANGED = (*range(5, NUM_JOINTS), *range(5))
+# Reflection in the plane y = 0.
+_VECTOR, _AXIAL_VECTOR, _QUATERNION = (1, -1, 1), (-1, 1, -1), (1, -1, 1, -1)
+
+POLICY_TERMS: tuple[Term, ...] = (
+  # The mirror image of the clock depends on the mode.
+  Term('clock', '', lambda view: clock(view.phase), 2),
+  Term('command', '', lambda view: view.command, None),
+  Term(
+    'height', 'm', lambda view: view.qpos[:, 2:3] - view.support[:, None], 1
+  ),
+  Term(
+    'orientation',
+    '',
+    lambda view: heading_frame(view.quaternion, view.heading),
+    4,
+    _QUATERNION,
+  ),
+  Term(
+    'joints_pos',
+    'rad',
+    lambda view: view.qpos[:, 7:],
+    NUM_JOINTS,
+    order=_LEGS_EXCHANGED,
+  ),
+  Term(
+    'velocity',
+    'm/s',
+    lambda view: view.trunk.apply(view.qvel[:, :3], inverse=True),
+    3,
+    _VECTOR,
+  ),
+  Term(
+    'angular_velocity',
+    'rad/s',
+    lambda view: view.qvel[:, 3:6],
+    3,
+    _AXIAL_VECTOR,
+  ),
+  Term(
+    'joints_vel',
+    'rad/s',
+    lambda view: view.qvel[:, 6:],
+    NUM_JOINTS,
+    order=_LEGS_EXCHANGED,
+  ),
 )
-STATE_SIZE = sum(size for _, size in _STATE_SIZES)  # 31
+CRITIC_TERMS: tuple[Term, ...] = (
+  Term(
+    'position_error',
+    'm',
+    lambda view: _in_heading(view.position - view.reference, view.heading),
+    3,
+    _VECTOR,
+  ),
+  Term('contact', '', lambda view: view.contact, 2, order=(1, 0)),
+  Term(
+    'countdown', 's', lambda view: np.minimum(view.countdown, _HORIZON)[:, None]
+  ),
+  Term('next_command', '', lambda view: view.next_command, None),
+  Term('ground_ahead', 'm', lambda view: _ground_ahead(view), 3),
+)
 
 
-def layout(command_size: int) -> tuple[tuple[str, int], ...]:
+def terms(privileged: bool = False) -> tuple[Term, ...]:
+  """Returns the policy's terms, followed by the critic's if `privileged`."""
+  return POLICY_TERMS + CRITIC_TERMS if privileged else POLICY_TERMS
+
+
+def layout(
+  latent_dim: int, privileged: bool = False
+) -> tuple[tuple[str, int], ...]:
   """Returns (name, size) of every part of the flat observation, in order."""
-  return (('clock', 2), ('command', command_size)) + _STATE_SIZES
+  return tuple(
+    (term.name, latent_dim if term.size is None else term.size)
+    for term in terms(privileged)
+  )
+
+
+def size(latent_dim: int, privileged: bool = False) -> int:
+  """Returns how many numbers the flat observation has."""
+  return sum(length for _, length in layout(latent_dim, privileged))
+
+
+def mirror(
+  latent_dim: int, privileged: bool = False
+) -> tuple[np.ndarray, np.ndarray, tuple[int, ...]]:
+  """Returns the left-right mirror image x'[i] = signs[i] * x[order[i]].
+
+  Args:
+    latent_dim: n_m.
+    privileged: with the critic's terms.
+
+  Returns:
+    The order [D] and the signs float32 [D] of flat observations, and where the
+    latents begin, which are mirrored by their modes.
+  """
+  orders, signs, latents, start = [], [], [], 0
+  for term, (_, length) in zip(
+    terms(privileged), layout(latent_dim, privileged), strict=True
+  ):
+    orders.append(start + np.asarray(term.order or range(length)))
+    signs.append(np.array(term.signs or (1,) * length, dtype=np.float32))
+    latents += [start] if term.size is None else []
+    start += length
+  return np.concatenate(orders), np.concatenate(signs), tuple(latents)
 
 
 def clock(phase: np.ndarray) -> np.ndarray:
@@ -56,7 +238,7 @@ def heading_frame(quaternion: np.ndarray, heading: np.ndarray) -> np.ndarray:
 
 
 def finite_rows(values: np.ndarray) -> np.ndarray:
-  """Whether all numbers of each row [B, N] are finite, [B]."""
+  """Returns whether all numbers of each row [B, N] are finite, [B]."""
   # All are, as a rule; and a sum is not finite where what it sums is not.
   with np.errstate(over='ignore', invalid='ignore'):
     total = values.sum()
@@ -65,43 +247,50 @@ def finite_rows(values: np.ndarray) -> np.ndarray:
   return np.isfinite(values).all(axis=1)
 
 
-def observe(
+def policy_view(
   qpos: np.ndarray,
   qvel: np.ndarray,
   support: np.ndarray,
   heading: np.ndarray,
   phase: np.ndarray,
   command: np.ndarray,
-) -> dict[str, np.ndarray]:
-  """Returns the parts of the observation by name, in the order of `layout`.
-
-  Args:
-    qpos: free joint (world position in metres, quaternion), then the joints in
-      radians, [B, 17].
-    qvel: free joint (world linear velocity in m/s, angular velocity in the
-      trunk frame in rad/s), then the joints in rad/s, [B, 16].
-    support: height of the support plane under the trunk, metres, [B].
-    heading: commanded heading, radians, [B].
-    phase: in [0, 1], [B].
-    command: latent of the commanded mode, [B, n_m].
-  """
+) -> PolicyView:
+  """Returns the view of B worlds, see there."""
   # A world that diverged has no orientation; identity keeps the others going.
   quaternion = np.where(
-    finite_rows(qpos[:, 3:7])[:, None], qpos[:, 3:7], (1.0, 0.0, 0.0, 0.0)
+    finite_rows(qpos[:, 3:7])[:, None], qpos[:, 3:7], _IDENTITY
   )
   trunk = transform.Rotation.from_quat(quaternion, scalar_first=True)
-  return {
-    'clock': clock(phase),
-    'command': command,
-    'height': qpos[:, 2:3] - support[:, None],
-    'orientation': heading_frame(quaternion, heading),
-    'joints_pos': qpos[:, 7:],
-    'velocity': trunk.apply(qvel[:, :3], inverse=True),
-    'angular_velocity': qvel[:, 3:6],
-    'joints_vel': qvel[:, 6:],
-  }
+  return PolicyView(
+    qpos, qvel, support, heading, phase, command, quaternion, trunk
+  )
+
+
+def observe(view: PolicyView) -> dict[str, np.ndarray]:
+  """Returns the policy's parts by name, in the order of `layout`."""
+  return {term.name: term.function(view) for term in POLICY_TERMS}
+
+
+def observe_privileged(view: CriticView) -> dict[str, np.ndarray]:
+  """Returns the critic's parts by name, in the order of `layout`."""
+  return {term.name: term.function(view) for term in CRITIC_TERMS}
 
 
 def flatten(parts: Mapping[str, np.ndarray]) -> np.ndarray:
-  """Concatenates the parts to float32 vectors, [B, 33 + n_m]."""
+  """Concatenates the parts to float32 vectors, [B, D]."""
   return np.concatenate(list(parts.values()), axis=-1, dtype=np.float32)
+
+
+def _in_heading(vectors: np.ndarray, heading: np.ndarray) -> np.ndarray:
+  """Expresses world vectors [B, 3] in frames turned by `heading` about z."""
+  x, y, z = vectors.T
+  c, s = np.cos(heading), np.sin(heading)
+  return np.stack([c * x + s * y, c * y - s * x, z], axis=-1)
+
+
+def _ground_ahead(view: CriticView) -> np.ndarray:
+  """Returns distance, rise and gap of what is near; the far looks level."""
+  distance = view.edge - view.position[:, 0]
+  near = distance < _SIGHT
+  parts = np.minimum(distance, _SIGHT), near * view.rise, near * view.gap
+  return np.stack(parts, axis=-1)

@@ -12,7 +12,6 @@ import numpy as np
 
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.suite.imitation import observations
-from dmc_multimode.suite.imitation import privileged
 from dmc_multimode.walkers import mini_biped
 
 
@@ -37,16 +36,6 @@ class MirrorImage(NamedTuple):
   commands: tuple[int, ...] = (2,)
 
 
-# Reflection in the plane y = 0 of vectors, axial vectors and quaternions.
-_SIGNS = {
-  'velocity': (1, -1, 1),
-  'angular_velocity': (-1, 1, -1),
-  'orientation': (1, -1, 1, -1),
-  'position_error': (1, -1, 1),
-}
-_COMMANDS = ('command', 'next_command')
-
-
 def mirror_image(
   mode_set: mode_set_lib.ModeSet, with_privileged: bool = False
 ) -> MirrorImage:
@@ -68,22 +57,15 @@ def mirror_image(
       )
   legs = len(mini_biped.LEG_JOINTS)
   exchanged = np.roll(np.arange(2 * legs), legs)
-  paired = {'joints_pos': exchanged, 'joints_vel': exchanged, 'contact': [1, 0]}
-  layout = observations.layout(mode_set.latent_dim)
-  if with_privileged:
-    layout += privileged.layout(mode_set.latent_dim)
-  orders, signs, commands, start = [], [], [], 0
-  for name, size in layout:
-    orders.append(start + np.asarray(paired.get(name, np.arange(size))))
-    signs.append(np.array(_SIGNS.get(name, (1,) * size), dtype=np.float32))
-    commands += [start] if name in _COMMANDS else []
-    start += size
+  order, signs, commands = observations.mirror(
+    mode_set.latent_dim, with_privileged
+  )
   return MirrorImage(
-    np.concatenate(orders),
-    np.concatenate(signs),
+    order,
+    signs,
     exchanged,
     np.ones(len(exchanged), dtype=np.float32),
     np.array([names.index(motion.mirror) for motion in motions]),
     np.array([-1.0 if m.half_cycle_symmetric else 1.0 for m in motions], 'f4'),
-    tuple(commands),
+    commands,
   )

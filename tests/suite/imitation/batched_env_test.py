@@ -28,7 +28,6 @@ from dmc_multimode.suite.imitation import config
 from dmc_multimode.suite.imitation import episodes
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import observations
-from dmc_multimode.suite.imitation import privileged
 from dmc_multimode.suite.imitation import rewards
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import schedule as schedules
@@ -760,7 +759,8 @@ def _privileged_parts(observation: np.ndarray) -> dict[str, np.ndarray]:
   """Cuts what follows the policy's observation into its parts."""
   latents = (observation.shape[1] - 42) // 2
   parts, start = {}, 33 + latents
-  for name, size in privileged.layout(latents):
+  layout = observations.layout(latents, privileged=True)
+  for name, size in layout[len(observations.POLICY_TERMS) :]:
     parts[name] = observation[:, start : start + size]
     start += size
   return parts

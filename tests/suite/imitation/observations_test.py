@@ -1,10 +1,17 @@
-"""Tests of dmc_multimode.suite.observations."""
+"""Tests of dmc_multimode.suite.imitation.observations."""
 
-from absl.testing import absltest
-from absl.testing import parameterized
+from typing import Any
+
 import numpy as np
+import pytest
 
 from dmc_multimode.suite.imitation import observations
+
+_C = np.sqrt(0.5)
+_JOINTS = np.arange(10) / 10
+_EXCHANGED = np.roll(_JOINTS, 5)  # Left and right legs.
+_QPOS = np.concatenate([[5.0, 6.0, 0.9], [_C, 0.0, 0.0, _C], _JOINTS])
+_QVEL = np.concatenate([[0.0, 2.0, 3.0], [0.1, 0.2, 0.3], _JOINTS + 20])
 
 
 def _yaw(degrees: float) -> np.ndarray:
@@ -12,124 +19,220 @@ def _yaw(degrees: float) -> np.ndarray:
   return np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
 
 
-def _observe(
-  qpos: np.ndarray, qvel: np.ndarray, heading: float = 0.0
+def _policy_sees(
+  heading: float = 0.0, qpos: np.ndarray = _QPOS
 ) -> dict[str, np.ndarray]:
+  """Of a robot that faces +y, which is where it goes, 0.5 m over its plane."""
   return observations.observe(
-    qpos[None],
-    qvel[None],
-    support=np.array([0.4]),
-    heading=np.array([heading]),
-    phase=np.array([0.25]),
-    command=np.array([[7.0, 8.0, 9.0, 10.0]]),
-  )
-
-
-class PartsTest(parameterized.TestCase):
-  @parameterized.parameters(
-    (0.0, (0, 1)), (0.25, (1, 0)), (0.5, (0, -1)), (1.0, (0, 1))
-  )
-  def test_clock(self, phase: float, expected: tuple[float, float]) -> None:
-    clock = observations.clock(np.array([phase]))
-    np.testing.assert_allclose(clock, [expected], atol=1e-12)
-
-  @parameterized.parameters(
-    (90, 90, 0), (90, 0, 90), (0, 90, -90), (170, -170, -20)
-  )
-  def test_heading_frame(
-    self, yaw: float, heading: float, expected: float
-  ) -> None:
-    turned = observations.heading_frame(
-      _yaw(yaw)[None], np.radians([float(heading)])
+    observations.policy_view(
+      qpos[None],
+      _QVEL[None],
+      support=np.array([0.4]),
+      heading=np.array([heading]),
+      phase=np.array([0.25]),
+      command=np.array([[7.0, 8.0, 9.0, 10.0]]),
     )
-    np.testing.assert_allclose(turned[0], _yaw(expected), atol=1e-12)
+  )
 
-  def test_heading_turns_the_axis_of_a_tilt(self) -> None:
+
+def _critic_sees(
+  heading: float = 0.0, countdown: float = 0.6, distance: float = 0.25
+) -> dict[str, np.ndarray]:
+  """Of a robot that is 0.1 m ahead, 0.2 m to the left and 0.3 m too low.
+
+  Ahead of it, behind a gap of 0.2 m, the ground is 0.1 m lower.
+  """
+  return observations.observe_privileged(
+    observations.CriticView(
+      position=np.array([[5.1, 6.2, 0.2]]),
+      reference=np.array([[5.0, 6.0, 0.5]]),
+      heading=np.array([heading]),
+      contact=np.array([[1.0, 0.0]]),
+      countdown=np.array([countdown]),
+      next_command=np.array([[7.0, 8.0, 9.0, 10.0]]),
+      edge=np.array([5.1 + distance]),
+      rise=np.array([-0.1]),
+      gap=np.array([0.2]),
+    )
+  )
+
+
+# One row a term: its numbers, and those of the mirror image; the latents' and
+# the clock's depend on the modes.
+_TERMS: dict[str, tuple[Any, Any]] = {
+  'clock': ((1.0, 0.0), (1.0, 0.0)),
+  'command': ((7.0, 8.0, 9.0, 10.0), (7.0, 8.0, 9.0, 10.0)),
+  'height': ((0.5,), (0.5,)),
+  'orientation': ((_C, 0.0, 0.0, _C), (_C, 0.0, 0.0, -_C)),
+  'joints_pos': (_JOINTS, _EXCHANGED),
+  'velocity': ((2.0, 0.0, 3.0), (2.0, 0.0, 3.0)),
+  'angular_velocity': ((0.1, 0.2, 0.3), (-0.1, 0.2, -0.3)),
+  'joints_vel': (_JOINTS + 20, _EXCHANGED + 20),
+  'position_error': ((0.1, 0.2, -0.3), (0.1, -0.2, -0.3)),
+  'contact': ((1.0, 0.0), (0.0, 1.0)),
+  'countdown': ((0.6,), (0.6,)),
+  'next_command': ((7.0, 8.0, 9.0, 10.0), (7.0, 8.0, 9.0, 10.0)),
+  'ground_ahead': ((0.25, -0.1, 0.2), (0.25, -0.1, 0.2)),
+}
+
+
+def test_terms_by_hand() -> None:
+  parts = {**_policy_sees(), **_critic_sees()}
+  assert [term.name for term in observations.terms(True)] == list(_TERMS)
+  assert list(parts) == list(_TERMS)
+  for name, (expected, _) in _TERMS.items():
+    np.testing.assert_allclose(parts[name], [expected], atol=1e-12)
+
+
+def test_mirror_image_by_hand() -> None:
+  order, signs, latents = observations.mirror(4, privileged=True)
+  flat = observations.flatten({**_policy_sees(), **_critic_sees()})[0]
+  expected = np.concatenate([mirrored for _, mirrored in _TERMS.values()])
+  np.testing.assert_allclose(signs * flat[order], expected, atol=1e-6)
+  np.testing.assert_array_equal(order[order], np.arange(50))
+  assert latents == (2, 43)
+
+
+def test_layout() -> None:
+  parts = {**_policy_sees(), **_critic_sees()}
+  sizes = [(name, part.shape[1]) for name, part in parts.items()]
+  assert tuple(sizes) == observations.layout(4, privileged=True)
+  assert tuple(sizes[:8]) == observations.layout(4)
+  assert (observations.size(4), observations.size(4, True)) == (37, 50)
+  assert (observations.size(11), observations.size(11, True)) == (44, 64)
+  flat = observations.flatten(_policy_sees())
+  assert (flat.shape, flat.dtype) == ((1, 37), np.float32)
+
+
+@pytest.mark.parametrize(
+  ('phase', 'expected'),
+  [(0.0, (0, 1)), (0.25, (1, 0)), (0.5, (0, -1)), (1.0, (0, 1))],
+)
+def test_clock(phase: float, expected: tuple[float, float]) -> None:
+  clock = observations.clock(np.array([phase]))
+  np.testing.assert_allclose(clock, [expected], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+  ('quaternion', 'heading', 'expected'),
+  [
+    (_yaw(90), 90, _yaw(0)),
+    (_yaw(90), 0, _yaw(90)),
+    (_yaw(0), 90, _yaw(-90)),
+    (_yaw(170), -170, _yaw(-20)),
+    # One sign and unit length.
+    (-3 * _yaw(40), 0, _yaw(40)),
     # Rolled by 90 degrees in the world, seen by one who faces +y: a pitch.
-    c = np.sqrt(0.5)
-    turned = observations.heading_frame(
-      np.array([[c, c, 0.0, 0.0]]), np.array([np.pi / 2])
-    )
     # (cos 45, 0, 0, -sin 45) x (c, c, 0, 0) = (.5, .5, -.5, -.5)
-    np.testing.assert_allclose(turned, [[0.5, 0.5, -0.5, -0.5]])
+    (np.array([_C, _C, 0.0, 0.0]), 90, (0.5, 0.5, -0.5, -0.5)),
+  ],
+)
+def test_heading_frame(
+  quaternion: np.ndarray, heading: float, expected: np.ndarray
+) -> None:
+  turned = observations.heading_frame(
+    quaternion[None], np.radians([float(heading)])
+  )
+  np.testing.assert_allclose(turned[0], expected, atol=1e-12)
 
-  def test_orientation_has_one_sign_and_unit_length(self) -> None:
-    turned = observations.heading_frame(-3 * _yaw(40)[None], np.zeros(1))
-    np.testing.assert_allclose(turned[0], _yaw(40))
 
-  @parameterized.parameters(
+def test_heading_turns_the_orientation_alone() -> None:
+  ahead, turned = _policy_sees(), _policy_sees(heading=np.pi / 2)
+  np.testing.assert_allclose(
+    turned.pop('orientation'), [[1, 0, 0, 0]], atol=1e-12
+  )
+  for name, part in turned.items():
+    np.testing.assert_array_equal(part, ahead[name])
+
+
+@pytest.mark.parametrize(
+  ('first', 'second', 'expected'),
+  [
     ((0.0, 1.0), (2.0, 3.0), (True, True)),
     ((0.0, np.nan), (2.0, 3.0), (False, True)),
     ((0.0, np.inf), (-np.inf, 3.0), (False, False)),
     ((0.0, 1e308), (1e308, 3.0), (True, True)),  # Their sum alone is not.
+  ],
+)
+def test_finite_rows(
+  first: tuple[float, float],
+  second: tuple[float, float],
+  expected: tuple[bool, bool],
+) -> None:
+  finite = observations.finite_rows(np.array([first, second]))
+  np.testing.assert_array_equal(finite, expected)
+
+
+def test_diverged_world_raises_nothing() -> None:
+  parts = _policy_sees(qpos=np.full(17, np.nan))
+  np.testing.assert_array_equal(parts['orientation'], [[1, 0, 0, 0]])
+
+
+@pytest.mark.parametrize(
+  ('degrees', 'expected'),
+  [
+    (0, (0.1, 0.2, -0.3)),
+    # Whoever faces +y has what was to the left ahead.
+    (90, (0.2, -0.1, -0.3)),
+    (180, (-0.1, -0.2, -0.3)),
+    # (0.1 + 0.2) / sqrt 2 and (0.2 - 0.1) / sqrt 2.
+    (45, (0.2121320, 0.0707107, -0.3)),
+  ],
+)
+def test_position_error_is_in_the_commanded_heading(
+  degrees: float, expected: tuple[float, float, float]
+) -> None:
+  parts = _critic_sees(heading=np.radians(degrees))
+  np.testing.assert_allclose(parts['position_error'], [expected], atol=1e-7)
+
+
+@pytest.mark.parametrize(
+  ('countdown', 'expected'),
+  [(0.0, 0.0), (1.5, 1.5), (1.53, 1.5), (np.inf, 1.5)],
+)
+def test_countdown_is_cut_off(countdown: float, expected: float) -> None:
+  parts = _critic_sees(countdown=countdown)
+  np.testing.assert_array_equal(parts['countdown'], [[expected]])
+
+
+@pytest.mark.parametrize('heading', [0.0, 2.0])
+@pytest.mark.parametrize(
+  ('distance', 'expected'),
+  [
+    (0.01, (0.01, -0.1, 0.2)),
+    (0.99, (0.99, -0.1, 0.2)),
+    # What is far ahead looks level.
+    (1.01, (1.0, 0.0, 0.0)),
+    (np.inf, (1.0, 0.0, 0.0)),
+  ],
+)
+def test_ground_ahead(
+  heading: float, distance: float, expected: tuple[float, float, float]
+) -> None:
+  parts = _critic_sees(heading, distance=distance)
+  np.testing.assert_allclose(parts['ground_ahead'], [expected], atol=1e-12)
+
+
+def test_worlds_are_told_apart() -> None:
+  """Each world has its own error, heading, countdown and ground."""
+  parts = observations.observe_privileged(
+    observations.CriticView(
+      position=np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 2.0]]),
+      reference=np.zeros((2, 3)),
+      heading=np.array([0.0, np.pi / 2]),
+      contact=np.array([[1.0, 0.0], [0.0, 0.0]]),
+      countdown=np.array([np.inf, 0.3]),
+      next_command=np.array([[0.0], [1.0]]),
+      edge=np.array([1.5, np.inf]),
+      rise=np.array([0.4, 0.0]),
+      gap=np.array([0.25, 0.0]),
+    )
   )
-  def test_finite_rows(
-    self,
-    first: tuple[float, float],
-    second: tuple[float, float],
-    expected: tuple[bool, bool],
-  ) -> None:
-    finite = observations.finite_rows(np.array([first, second]))
-    np.testing.assert_array_equal(finite, expected)
-
-
-class ObserveTest(parameterized.TestCase):
-  def setUp(self) -> None:
-    super().setUp()
-    self.qpos = np.concatenate([[5.0, 6.0, 0.9], _yaw(90), np.arange(10) / 10])
-    self.qvel = np.concatenate(
-      [[0.0, 2.0, 3.0], [0.1, 0.2, 0.3], np.arange(10) + 20.0]
-    )
-
-  def test_layout(self) -> None:
-    layout = observations.layout(4)
-    self.assertEqual(sum(size for _, size in layout), 37)
-    self.assertEqual(observations.STATE_SIZE, 31)
-    parts = _observe(self.qpos, self.qvel)
-    self.assertEqual(
-      [(name, part.shape[1]) for name, part in parts.items()], list(layout)
-    )
-
-  def test_flat_vector(self) -> None:
-    flat = observations.flatten(_observe(self.qpos, self.qvel))
-    self.assertEqual(flat.shape, (1, 37))
-    self.assertEqual(flat.dtype, np.float32)
-    c = np.sqrt(0.5)
-    expected = np.concatenate(
-      [
-        [1.0, 0.0],  # Clock.
-        [7.0, 8.0, 9.0, 10.0],  # Command.
-        [0.5],  # Height over the support.
-        [c, 0.0, 0.0, c],
-        np.arange(10) / 10,
-        [2.0, 0.0, 3.0],  # The trunk faces +y, and +y is where it goes.
-        [0.1, 0.2, 0.3],  # Already in the trunk's frame.
-        np.arange(10) + 20.0,
-      ]
-    )
-    np.testing.assert_allclose(flat[0], expected, atol=1e-6)
-
-  def test_heading_turns_the_orientation_alone(self) -> None:
-    ahead = _observe(self.qpos, self.qvel)
-    turned = _observe(self.qpos, self.qvel, heading=np.pi / 2)
-    np.testing.assert_allclose(
-      turned['orientation'], [[1, 0, 0, 0]], atol=1e-12
-    )
-    for name, part in ahead.items():
-      if name != 'orientation':
-        np.testing.assert_array_equal(part, turned[name])
-
-  def test_diverged_world_raises_nothing(self) -> None:
-    qpos = np.full(17, np.nan)
-    parts = _observe(qpos, self.qvel)
-    np.testing.assert_array_equal(parts['orientation'], [[1, 0, 0, 0]])
-
-  def test_inputs_stay_as_they_are(self) -> None:
-    qpos, qvel = self.qpos.copy(), self.qvel.copy()
-    _observe(self.qpos, self.qvel, heading=1.0)
-    np.testing.assert_array_equal(self.qpos, qpos)
-    np.testing.assert_array_equal(self.qvel, qvel)
-
-
-if __name__ == '__main__':
-  absltest.main()
+  np.testing.assert_allclose(
+    np.concatenate(list(parts.values()), axis=1),
+    [
+      [1.0, 0.0, 0.0, 1.0, 0.0, 1.5, 0.0, 0.5, 0.4, 0.25],
+      [0.0, -1.0, 2.0, 0.0, 0.0, 0.3, 1.0, 1.0, 0.0, 0.0],
+    ],
+    atol=1e-12,
+  )
