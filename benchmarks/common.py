@@ -8,7 +8,7 @@ import platform
 from typing import Any, Mapping, Sequence
 
 from dmc_multimode.bin import flags as config_flags
-from dmc_multimode.experiments import setup
+from dmc_multimode.experiments import config as run_config
 from dmc_multimode.utils import files
 
 CORES = len(os.sched_getaffinity(0))
@@ -19,16 +19,16 @@ _PARTS = ('ppo', 'sampling', 'task')
 def define_run_flags() -> None:
   """Defines flags for every field of the parts of a `RunConfig`."""
   for part in _PARTS:
-    config_flags.define(getattr(setup.RunConfig(), part), part)
+    config_flags.define(getattr(run_config.RunConfig(), part), part)
 
 
-def run_config(**values: Any) -> setup.RunConfig:
+def configured(**values: Any) -> run_config.RunConfig:
   """Returns a run's configuration: its parts by their flags, and `values`."""
   parts: dict[str, Any] = {
-    part: config_flags.read(getattr(setup.RunConfig(), part), part)
+    part: config_flags.read(getattr(run_config.RunConfig(), part), part)
     for part in _PARTS
   }
-  return setup.RunConfig(**parts, **values)
+  return run_config.RunConfig(**parts, **values)
 
 
 def out_path(value: str | None) -> pathlib.Path | None:

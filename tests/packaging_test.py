@@ -122,8 +122,9 @@ def python(
   code = 'import sysconfig; print(sysconfig.get_path("purelib"))'
   site = pathlib.Path(_run(python, '-c', code).strip())
   (site / 'rest.pth').write_text(sysconfig.get_path('purelib'))
-  install = [sys.executable, '-m', 'pip', '--python', python, 'install']
-  what = (
+  install: list[str | pathlib.Path] = [sys.executable, '-m', 'pip']
+  install += ['--python', python, 'install']
+  what: list[str | pathlib.Path] = (
     [request.getfixturevalue('wheel')]
     if request.param == 'wheel'
     else ['--no-build-isolation', '--editable', source]

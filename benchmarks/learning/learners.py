@@ -13,7 +13,7 @@ or the reverse, stays:
 - Ours fits policy and value function apart, each with its own bound on the
   gradient's norm.
 - Ours alone keeps the standard deviation below where it begins, and lowers its
-  bounds (`anneal_start`).
+  bounds (`std_floor`).
 
 `rsl_rl_gru` is rsl_rl's with a recurrent layer before each of the two networks,
 as many units as their first hidden layer.
@@ -32,6 +32,7 @@ from torch import nn
 from dmc_multimode.agents import loggers
 from dmc_multimode.agents import runner
 from dmc_multimode.agents.ppo import learning
+from dmc_multimode.experiments import config as run_config
 from dmc_multimode.experiments import setup
 from dmc_multimode.modes import library
 from dmc_multimode.suite.imitation import batched_env
@@ -97,7 +98,7 @@ class Ours:
 
 
 def make(
-  name: str, config: setup.RunConfig, scale_rewards: bool = True
+  name: str, config: run_config.RunConfig, scale_rewards: bool = True
 ) -> Learner:
   """Returns the learner `name` of `NAMES`, with worlds of its own.
 

@@ -30,7 +30,7 @@ from dmc_multimode.bin import app
 from dmc_multimode.evaluation import episodes as evaluation_episodes
 from dmc_multimode.evaluation import evaluator as scoring
 from dmc_multimode.evaluation import scores
-from dmc_multimode.experiments import setup
+from dmc_multimode.experiments import config as run_config
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import batched_env
@@ -39,7 +39,7 @@ from dmc_multimode.suite.imitation import events
 _MODES = flags.DEFINE_string('modes', 'pi2', 'A mode set, or modes.')
 _NUM_WORLDS = flags.DEFINE_integer(
   'num_worlds',
-  setup.RunConfig().num_worlds,
+  run_config.RunConfig().num_worlds,
   'Worlds that are stepped together.',
   lower_bound=1,
 )
@@ -123,7 +123,9 @@ def drive(learner: learners.Learner) -> Lap:
   return Lap(total, sum(update), sum(environment))
 
 
-def judge(learner: learners.Learner, config: setup.RunConfig) -> dict[str, Any]:
+def judge(
+  learner: learners.Learner, config: run_config.RunConfig
+) -> dict[str, Any]:
   """Returns the report of `evaluate` on what has been learned."""
   candidate = _Candidate(
     learner.environment.mode_set,
@@ -137,7 +139,7 @@ def judge(learner: learners.Learner, config: setup.RunConfig) -> dict[str, Any]:
 
 
 def compare(
-  config: setup.RunConfig,
+  config: run_config.RunConfig,
   names: Sequence[str],
   eval_steps: Sequence[int],
   out: pathlib.Path | None,
@@ -246,14 +248,14 @@ def _print(result: Result) -> None:
 
 
 def _write(
-  out: pathlib.Path | None, config: setup.RunConfig, result: Result
+  out: pathlib.Path | None, config: run_config.RunConfig, result: Result
 ) -> None:
   report = {
     'benchmark': 'learning',
     **result._asdict(),
     'rounds': _ROUNDS.value,
     'scale_rewards': _SCALE_REWARDS.value,
-    'config': setup.to_dict(config),
+    'config': run_config.to_dict(config),
   }
   packages = ('rsl-rl-lib', 'stable-baselines3', 'tensordict', 'gymnasium')
   common.write_report(out, report, packages)
@@ -280,7 +282,7 @@ def main(argv: Sequence[str]) -> None:
   names, eval_steps = list(dict.fromkeys(_LEARNERS.value)), _eval_steps()
   if not names:
     raise ValueError(f'--learners: name some of {learners.NAMES}.')
-  config = common.run_config(
+  config = common.configured(
     modes=_MODES.value,
     seed=_SEED.value,
     num_worlds=_NUM_WORLDS.value,

@@ -107,7 +107,7 @@ def settings(
   distribution = {
     'class_name': modules.GaussianDistribution,
     'init_std': ppo.initial_std,
-    'std_range': (ppo.min_std, _MAX_STD),
+    'std_range': (ppo.std_floor.first, _MAX_STD),
     'std_type': 'log',
     'learn_std': ppo.learn_std,
   }

@@ -161,7 +161,7 @@ def _measure() -> list[Row]:
 
 def _compute() -> list[Row]:
   """Strong scaling, with the worlds given; and weak, with as many a node."""
-  config = common.run_config().ppo
+  config = common.configured().ppo
   sizes = parameters(config.hidden_sizes)
   print(
     f'\nOn paper: {sizes["policy"]:,} parameters of the policy and '

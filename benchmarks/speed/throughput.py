@@ -32,6 +32,7 @@ from dmc_multimode.agents import loggers
 from dmc_multimode.agents import runner
 from dmc_multimode.agents.ppo import acting
 from dmc_multimode.bin import app
+from dmc_multimode.experiments import config as run_config
 from dmc_multimode.experiments import setup
 from dmc_multimode.modes import library
 from dmc_multimode.pretrained import policy as policy_lib
@@ -41,7 +42,7 @@ from dmc_multimode.suite.imitation import config as task_config
 _MODES = flags.DEFINE_string('modes', 'pi2', 'A mode set, or modes.')
 _NUM_WORLDS = flags.DEFINE_integer(
   'num_worlds',
-  setup.RunConfig().num_worlds,
+  run_config.RunConfig().num_worlds,
   'Worlds that are stepped together.',
   lower_bound=1,
 )
@@ -105,7 +106,7 @@ class _Actions:
 class _Worlds:
   """BatchedImitation, and its physics alone on the same states."""
 
-  def __init__(self, config: setup.RunConfig):
+  def __init__(self, config: run_config.RunConfig):
     run = _build(config)
     self.environment = run.environment
     self._actor = acting.BatchedActor(run.network, config.seed)
@@ -156,7 +157,7 @@ class _Worlds:
 class _Composer:
   """The Composer task in a loop."""
 
-  def __init__(self, config: setup.RunConfig, standing: np.ndarray):
+  def __init__(self, config: run_config.RunConfig, standing: np.ndarray):
     self._environment = _composer(config.modes, config.task, config.seed)
     self._actions = _Actions(standing, config.seed)
     self._timestep = self._environment.reset()
@@ -178,7 +179,7 @@ class _Composer:
 class _Processes:
   """Gymnasium's AsyncVectorEnv of the Composer task, a process a thread."""
 
-  def __init__(self, config: setup.RunConfig, standing: np.ndarray):
+  def __init__(self, config: run_config.RunConfig, standing: np.ndarray):
     from gymnasium import vector
 
     make = functools.partial(_gymnasium, config.modes, config.task)
@@ -209,7 +210,7 @@ class _Processes:
 class _Training:
   """Whole iterations of PPO: acting, stepping, learning."""
 
-  def __init__(self, config: setup.RunConfig):
+  def __init__(self, config: run_config.RunConfig):
     self._loop = _build(config).loop
     self._iteration()  # The first one allocates.
 
@@ -248,7 +249,7 @@ def _rate(step: Callable[[], None], count: int, seconds: float) -> float:
   return calls * count / now
 
 
-def _build(config: setup.RunConfig) -> setup.Run:
+def _build(config: run_config.RunConfig) -> setup.Run:
   mode_set = library.mode_set(config.modes)
   if not _POLICY.value:
     return setup.build(config, mode_set)
@@ -274,7 +275,7 @@ def _gymnasium(modes: str, config: task_config.ImitationConfig) -> Any:
   return gymnasium_env.GymnasiumEnv(_composer(modes, config, None))
 
 
-def compare(config: setup.RunConfig) -> list[Row]:
+def compare(config: run_config.RunConfig) -> list[Row]:
   """Measures all contenders in turns; returns the rows of the table."""
   rates: dict[str, list[float]] = {}
   with contextlib.ExitStack() as stack:
@@ -307,7 +308,7 @@ def _row(name: str, rates: Mapping[str, list[float]]) -> Row:
   }
 
 
-def profile(config: setup.RunConfig) -> list[Row]:
+def profile(config: run_config.RunConfig) -> list[Row]:
   """Returns what share of a step, or of an iteration, each function takes."""
   whole = _PROFILE.value == 'loop'
   contender = _Training(config) if whole else _Worlds(config)
@@ -374,7 +375,7 @@ def _print_profile(rows: list[Row]) -> None:
     print(f'{row["name"]:36}{row["percent"]:8.2f}{own}')
 
 
-def _report(config: setup.RunConfig, rows: list[Row]) -> dict[str, Any]:
+def _report(config: run_config.RunConfig, rows: list[Row]) -> dict[str, Any]:
   """Returns what the JSON file holds."""
   return {
     'benchmark': 'throughput',
@@ -383,7 +384,7 @@ def _report(config: setup.RunConfig, rows: list[Row]) -> dict[str, Any]:
     'rounds': _ROUNDS.value,
     'seconds': _SECONDS.value,
     'seed': config.seed,
-    'config': setup.to_dict(config),
+    'config': run_config.to_dict(config),
   }
 
 
@@ -391,7 +392,7 @@ def main(argv: Sequence[str]) -> None:
   """Measures, prints, writes."""
   del argv
   out = common.out_path(_OUT.value)
-  config = common.run_config(
+  config = common.configured(
     modes=_MODES.value,
     seed=_SEED.value,
     num_worlds=_NUM_WORLDS.value,

@@ -15,10 +15,10 @@ script `dmc-multimode-NAME` in `setup.cfg` points at `cli`:
 A binary that renders calls `gl.choose_backend()` first thing in `main` and
 imports whatever imports dm_control after that, inside `main`.
 
-Exit codes: 0 done; 1 flags that absl refuses, or a bug (with a traceback);
-2 something the user can put right (one line `error: ...` on stderr, and the
-traceback too with `--verbosity=1`); 3 all in order, but what was looked for was
-not found (a plan); 130 interrupted.
+Exit codes: 0 done; 1 a bug (with a traceback); 2 something the user can put
+right, flags included (one line `error: ...` on stderr, and the traceback too
+with `--verbosity=1`); 3 all in order, but what was looked for was not found (a
+plan); 130 interrupted.
 """
 
 import functools
@@ -26,11 +26,16 @@ import pathlib
 import re
 import sys
 import traceback
+import types
 from typing import Callable, NoReturn, Sequence
 
 from absl import app as absl_app
+from absl import flags
 from absl import logging
+import pydantic
 
+from dmc_multimode.bin import flags as config_flags
+from dmc_multimode.utils import config
 from dmc_multimode.utils import resources
 
 Main = Callable[[Sequence[str]], int | None]
@@ -66,8 +71,35 @@ def run(main: Main, argv: Sequence[str] | None = None) -> NoReturn:
     args = find_flagfiles(sys.argv if argv is None else argv)
   except FileNotFoundError as error:
     sys.exit(_report(error))
-  absl_app.run(functools.partial(_guard, main), argv=args)
+  _lend_help(sys.modules[main.__module__])
+  absl_app.run(
+    functools.partial(_guard, main), argv=args, flags_parser=_parse_flags
+  )
   raise AssertionError('absl.app.run returned')
+
+
+def _lend_help(module: types.ModuleType) -> None:
+  """Shows a command's own text and flags by `--help` of its console script.
+
+  absl takes them from the main module, which then is a stub.
+  """
+  sys.modules['__main__'].__doc__ = module.__doc__
+  for flag in flags.FLAGS.get_flags_for_module(module.__name__):
+    flags.FLAGS.register_key_flag_for_module(sys.argv[0], flag)
+
+
+def _parse_flags(args: Sequence[str]) -> list[str]:
+  """Parses the flags; in place of absl's two lines and exit code 1."""
+  try:
+    rest: list[str] = flags.FLAGS(args)
+    return rest
+  except flags.UnrecognizedFlagError as error:
+    now = config_flags.RENAMED.get(error.flagname)
+    if now is None:
+      sys.exit(_report(error))
+    sys.exit(_report(flags.Error(f'--{error.flagname} is now --{now}')))
+  except flags.Error as error:
+    sys.exit(_report(error))
 
 
 def find_flagfiles(argv: Sequence[str]) -> list[str]:
@@ -126,6 +158,8 @@ def _guard(main: Main, argv: Sequence[str]) -> int:
 def _report(error: Exception) -> int:
   """Prints an error as one line; returns the exit code."""
   text = str(error)
+  if isinstance(error, pydantic.ValidationError):
+    text = config.describe(error)
   if isinstance(error, OSError) and error.strerror and error.filename:
     text = f'{error.strerror}: {error.filename}'
   lines = [line.strip() for line in text.splitlines() if line.strip()]

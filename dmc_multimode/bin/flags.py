@@ -1,11 +1,15 @@
 """Flags generated from the fields of configuration dataclasses.
 
 A field `discount` of a class defined under the prefix 'ppo' becomes the flag
-`--ppo_discount`; the fields of a nested configuration are flags of their own. A
-schedule is a text, see `utils.schedule.parse`.
+`--ppo_discount`; the fields of a configuration in it are flags of their own.
+Its help is what the docstring of its class says of it, its value is read as the
+field's type says. A schedule is a text, see `utils.schedule.parse`.
 """
 
 import dataclasses
+import inspect
+import re
+import typing
 from typing import Any, Iterator
 
 from absl import flags
@@ -16,102 +20,139 @@ from dmc_multimode.utils import schedule
 
 FLAGS = flags.FLAGS
 
+# Names of flags in flagfiles that people wrote -> how to say it now.
+RENAMED = {
+  'ppo_min_std': 'ppo_std_floor=STD, or STD:FINAL@START:END',
+  'ppo_final_min_std': 'ppo_std_floor=STD:FINAL@START:END',
+  'ppo_anneal_start': 'ppo_std_floor=STD:FINAL@START:END',
+  'ppo_anneal_end': 'ppo_std_floor=STD:FINAL@START:END',
+  'ppo_quiet_share': 'ppo_deterministic_fraction=0:SHARE@START',
+  'ppo_quiet_start': 'ppo_deterministic_fraction=0:SHARE@START',
+  'ppo_quiet_steps': 'ppo_deterministic_steps',
+  'ppo_anchor_weight': 'ppo_kickstarting_weight',
+  'sampling_gait_steps': 'sampling_gait_fraction=0.7:0@STEPS',
+  'sampling_gait_share': 'sampling_gait_fraction=SHARE:0@STEPS',
+  'sampling_focus_start': 'sampling_focus_fraction=0:SHARE@START',
+  'sampling_focus_share': 'sampling_focus_fraction=0:SHARE@START',
+  'sampling_focus_steps': 'sampling_focus_end',
+  'task_early_distance': 'task_events_distance_slack=SLACK:0@0:STEPS',
+  'task_tighten_steps': 'task_events_distance_slack=SLACK:0@0:STEPS',
+  'task_assist_steps': 'task_events_assistance_steps',
+  'task_contact_bonus': 'task_events_contact_bonus=BONUS:LATE@START:END',
+  'task_late_contact_bonus': 'task_events_contact_bonus=BONUS:LATE@START:END',
+  'task_contact_bonus_start': 'task_events_contact_bonus=BONUS:LATE@START:END',
+  'task_contact_bonus_end': 'task_events_contact_bonus=BONUS:LATE@START:END',
+  'task_obstacles': 'task_events_obstacles=0:SHARE@START',
+  'task_obstacles_start': 'task_events_obstacles=0:SHARE@START',
+  'task_push_speed': 'task_events_push_speed=0:SPEED@START',
+  'task_push_start': 'task_events_push_speed=0:SPEED@START',
+  'task_push_interval': 'task_events_push_interval',
+  'task_reference_starts': 'task_events_reference_starts',
+  'task_edge_noise': 'task_events_edge_noise',
+}
+
+
+class _Parser(flags.ArgumentParser):
+  """Reads the text of a flag as a field of a configuration."""
+
+  def __init__(self, kind: Any):
+    """Reads values of the type `kind`."""
+    plain = kind
+    while typing.get_origin(plain) is typing.Annotated:
+      plain = typing.get_args(plain)[0]
+    self._is_list = typing.get_origin(plain) is tuple
+    is_schedule = plain is schedule.Schedule
+    self.syntactic_help = 'FIRST[:LAST][@START[:END]]' if is_schedule else ''
+    self._adapter = pydantic.TypeAdapter(
+      kind,
+      config=None if is_schedule else pydantic.ConfigDict(allow_inf_nan=False),
+    )
+
+  def parse(self, argument: Any) -> Any:
+    """Returns the value; raises ValueError for what the field refuses."""
+    if self._is_list and isinstance(argument, str):
+      argument = argument.split(',')
+    try:
+      return self._adapter.validate_python(argument)
+    except pydantic.ValidationError as error:
+      raise ValueError(config_lib.describe(error)) from error
+
+
+class _Serializer(flags.ArgumentSerializer):
+  """Writes a value as `_Parser` reads it."""
+
+  def serialize(self, value: Any) -> str:
+    """Returns the text."""
+    return ','.join(map(str, value if isinstance(value, tuple) else (value,)))
+
 
 def define(config: Any, prefix: str) -> None:
   """Defines a flag for every field of `config`, whose values are defaults."""
-  for name, default in _leaves(config, prefix):
-    text = f'See {type(config).__name__}.'
-    if isinstance(default, bool):
-      flags.DEFINE_bool(name, default, text)
-    elif isinstance(default, int):
-      flags.DEFINE_integer(name, default, text)
-    elif isinstance(default, float):
-      flags.DEFINE_float(name, default, text)
-    elif isinstance(default, str):
-      flags.DEFINE_string(name, default, text)
-    elif isinstance(default, schedule.Schedule):
-      flags.DEFINE_string(name, schedule.to_text(default), text)
-    elif isinstance(default, tuple):
-      flags.DEFINE_list(name, [str(item) for item in default], text)
+  kinds = typing.get_type_hints(type(config), include_extras=True)
+  texts = _attributes(type(config))
+  for field, default in _fields(config):
+    name, text = f'{prefix}_{field}', texts.get(field, '')
+    if _is_nested(default):
+      define(default, name)
+    elif isinstance(default, bool):
+      flags.DEFINE_bool(name, default, text, flag_values=FLAGS)
     else:
-      raise TypeError(f'{name} has no kind of flag: {default!r}')
+      flags.DEFINE(
+        _Parser(kinds[field]), name, default, text, FLAGS, _Serializer()
+      )
 
 
 def read(config: Any, prefix: str) -> Any:
   """Returns `config` with the values of those of its flags that were given.
 
   Raises:
-    ValueError: a list holds something that is no integer, or the configuration
-      refuses a value.
+    ValueError: the configuration refuses their combination.
   """
   changes: dict[str, Any] = {}
   for field, value in _fields(config):
     name = f'{prefix}_{field}'
     if _is_nested(value):
       changes[field] = read(value, name)
-    elif not FLAGS[name].present:
-      continue
-    elif isinstance(value, tuple):
-      changes[field] = _integers(name)
-    elif isinstance(value, schedule.Schedule):
-      changes[field] = _schedule(name)
-    else:
+    elif FLAGS[name].present:
       changes[field] = FLAGS[name].value
-  return replace(config, **changes)
+  try:
+    return dataclasses.replace(config, **changes)
+  except pydantic.ValidationError as error:
+    raise ValueError(f'--{prefix}_*: {config_lib.describe(error)}') from error
 
 
 def overrides(config: Any, prefix: str) -> list[str]:
   """Names of the flags of `config` that were given."""
-  return [name for name, _ in _leaves(config, prefix) if FLAGS[name].present]
-
-
-def replace(config: Any, **changes: Any) -> Any:
-  """Returns a dataclass or NamedTuple with some fields changed."""
-  if _is_named_tuple(config):
-    return config._replace(**changes)
-  try:
-    return dataclasses.replace(config, **changes)
-  except pydantic.ValidationError as error:
-    raise ValueError(config_lib.describe(error)) from error
-
-
-def _integers(name: str) -> tuple[int, ...]:
-  try:
-    return tuple(int(item) for item in FLAGS[name].value or ())
-  except ValueError as error:
-    raise ValueError(f'--{name} needs integers: {error}') from error
-
-
-def _schedule(name: str) -> schedule.Schedule:
-  try:
-    return schedule.parse(str(FLAGS[name].value))
-  except ValueError as error:
-    raise ValueError(f'--{name}: {error}') from error
-
-
-def _is_nested(value: Any) -> bool:
-  if isinstance(value, schedule.Schedule):
-    return False
-  return dataclasses.is_dataclass(value) or _is_named_tuple(value)
-
-
-def _is_named_tuple(value: Any) -> bool:
-  return isinstance(value, tuple) and hasattr(value, '_fields')
-
-
-def _fields(config: Any) -> Iterator[tuple[str, Any]]:
-  if _is_named_tuple(config):
-    yield from config._asdict().items()
-  else:
-    for field in dataclasses.fields(config):
-      yield field.name, getattr(config, field.name)
-
-
-def _leaves(config: Any, prefix: str) -> Iterator[tuple[str, Any]]:
-  """Flag names and values of all fields, nested ones included."""
+  found = []
   for field, value in _fields(config):
     name = f'{prefix}_{field}'
     if _is_nested(value):
-      yield from _leaves(value, name)
-    else:
-      yield name, value
+      found += overrides(value, name)
+    elif FLAGS[name].present:
+      found.append(name)
+  return found
+
+
+def _attributes(kind: type) -> dict[str, str]:
+  """Returns what the docstring of a class says of each of its fields."""
+  _, _, section = inspect.cleandoc(kind.__doc__ or '').partition(
+    'Attributes:\n'
+  )
+  texts = {}
+  section = '\n' + section.partition('\n\n')[0]
+  for entry in re.split(r'\n(?=  \w)', section):
+    names, _, text = entry.partition(':')
+    for name in names.split(','):
+      texts[name.strip()] = ' '.join(text.split())
+  return texts
+
+
+def _is_nested(value: Any) -> bool:
+  return dataclasses.is_dataclass(value) and not isinstance(
+    value, schedule.Schedule
+  )
+
+
+def _fields(config: Any) -> Iterator[tuple[str, Any]]:
+  for field in dataclasses.fields(config):
+    yield field.name, getattr(config, field.name)

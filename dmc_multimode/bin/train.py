@@ -32,6 +32,7 @@ from dmc_multimode.agents import loggers
 from dmc_multimode.agents import runner
 from dmc_multimode.bin import app
 from dmc_multimode.bin import flags as config_flags
+from dmc_multimode.experiments import config as run_config
 from dmc_multimode.experiments import fine_tuning
 from dmc_multimode.experiments import launch
 from dmc_multimode.experiments import ranks
@@ -44,7 +45,7 @@ from dmc_multimode.modes.encoder import training as encoder_training
 from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.suite.imitation import symmetry as task_symmetry
 
-_DEFAULTS = setup.RunConfig()
+_DEFAULTS = run_config.RunConfig()
 _RUN_DIR = flags.DEFINE_string(
   'run_dir', None, 'Where the run lives.', required=True
 )
@@ -108,7 +109,7 @@ for _part in _PARTS:
   config_flags.define(getattr(_DEFAULTS, _part), _part)
 
 
-def _with_flags(config: setup.RunConfig) -> setup.RunConfig:
+def _with_flags(config: run_config.RunConfig) -> run_config.RunConfig:
   """Returns a configuration with what the flags that were given say."""
   given: dict[str, Any] = {
     part: config_flags.read(getattr(config, part), part) for part in _PARTS
@@ -121,7 +122,7 @@ def _with_flags(config: setup.RunConfig) -> setup.RunConfig:
 
 def _configure(
   start: fine_tuning.Start | None,
-) -> tuple[setup.RunConfig, tuple[motion_lib.ReferenceMotion, ...]]:
+) -> tuple[run_config.RunConfig, tuple[motion_lib.ReferenceMotion, ...]]:
   """Returns configuration and modes of a new run, as the flags say."""
   extra = mode_files.load(_MODE_FILE.value) if _MODE_FILE.value else ()
   defaults = _DEFAULTS
@@ -184,8 +185,8 @@ def _train_encoder(
 def _continue(directory: pathlib.Path, size: int) -> setup.Ingredients:
   """Reads a run back; flags that contradict it are an error."""
   config, mode_set = setup.load_run(directory)
-  stored = setup.to_dict(config)
-  wanted = setup.to_dict(_with_flags(config))
+  stored = run_config.to_dict(config)
+  wanted = run_config.to_dict(_with_flags(config))
   for name, value in wanted.items():
     if value != stored[name]:
       raise ValueError(
@@ -267,7 +268,7 @@ def _make_logger(directory: pathlib.Path, run: setup.Run) -> loggers.Dispatcher:
   if _WANDB_PROJECT.value:
     parts.append(
       loggers.WandbLogger(
-        directory, _WANDB_PROJECT.value, setup.to_dict(run.config)
+        directory, _WANDB_PROJECT.value, run_config.to_dict(run.config)
       )
     )
   return loggers.Dispatcher(parts)

@@ -12,6 +12,7 @@ import pathlib
 import numpy as np
 
 from dmc_multimode import pretrained
+from dmc_multimode.experiments import config as run_config
 from dmc_multimode.experiments import setup
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
@@ -22,6 +23,7 @@ from dmc_multimode.modes.encoder import training as encoder_training
 from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.utils import resources
+from dmc_multimode.utils import schedule
 
 # Enough exploration to find a new motion near those that are known.
 _INITIAL_STD, _LEAST_STD, _FINAL_STD = 0.18, 0.14, 0.05  # Radians.
@@ -30,8 +32,9 @@ _ANNEALING = (0.25, 0.85)  # From and to which share of the training.
 # a little as well as a squat. So new modes are practised more, and their
 # advantages are not drowned by those of modes in which robots fall. The known
 # modes are held meanwhile.
-_FOCUS_SHARE, _ANCHOR_WEIGHT = 0.5, 0.3
-_QUIET_SHARE, _QUIET_START = 0.3, 0.5  # From which share of the training on.
+_FOCUS_FRACTION, _KICKSTARTING_WEIGHT = 0.5, 0.3
+_DETERMINISTIC_FRACTION = 0.3
+_DETERMINISTIC_START = 0.5  # From which share of the training on.
 
 Motions = tuple[motion_lib.ReferenceMotion, ...]
 
@@ -50,7 +53,7 @@ class Start:
   policy: pretrained.Policy
   encoder: encoder_training.ModeEncoder
 
-  def config(self, motions: Motions, steps: int) -> setup.RunConfig:
+  def config(self, motions: Motions, steps: int) -> run_config.RunConfig:
     """Returns the defaults of a training.
 
     They are those of the policy's own training as it was in the end, but for
@@ -68,24 +71,23 @@ class Start:
       activation=policy.network.activation,
       privileged_critic=policy.network.privileged_size > 0,
       initial_std=_INITIAL_STD,
-      min_std=_LEAST_STD,
-      final_min_std=_FINAL_STD,
-      anneal_start=start,
-      anneal_end=end,
-      quiet_share=_QUIET_SHARE,
-      quiet_start=int(_QUIET_START * steps),
+      std_floor=schedule.Schedule(
+        _LEAST_STD, _FINAL_STD, start, end, 'geometric'
+      ),
+      deterministic_fraction=schedule.step(
+        _DETERMINISTIC_FRACTION, int(_DETERMINISTIC_START * steps)
+      ),
       advantages='mode',
-      anchor_weight=_ANCHOR_WEIGHT,
+      kickstarting_weight=_KICKSTARTING_WEIGHT,
     )
     sampling = dataclasses.replace(
       before.sampling,
-      gait_steps=0,
+      gait_fraction=schedule.constant(0.0),
       focus=','.join(motion.name for motion in self.new(motions)),
-      focus_start=0,
-      focus_steps=steps,
-      focus_share=_FOCUS_SHARE,
+      focus_fraction=schedule.constant(_FOCUS_FRACTION),
+      focus_end=steps,
     )
-    return setup.RunConfig(
+    return run_config.RunConfig(
       modes=','.join(motion.name for motion in motions),
       init_from=self.name,
       init_modes=','.join(policy.mode_set.names),
@@ -129,7 +131,7 @@ class Start:
       )
     return library.resolve(spec, named)
 
-  def check(self, config: setup.RunConfig) -> None:
+  def check(self, config: run_config.RunConfig) -> None:
     """Raises ValueError where a configuration is of another network."""
     network = self.policy.network
     expected = {
@@ -218,9 +220,9 @@ def find_encoder(name: str) -> pathlib.Path:
   )
 
 
-def _trained_with(policy: pretrained.Policy) -> setup.RunConfig:
+def _trained_with(policy: pretrained.Policy) -> run_config.RunConfig:
   """Returns what a policy tells of its training, in words of this version."""
   try:
-    return setup.from_dict(policy.provenance['run'])
+    return run_config.from_dict(policy.provenance['run'])
   except (KeyError, ValueError):
-    return setup.RunConfig()
+    return run_config.RunConfig()

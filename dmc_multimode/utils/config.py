@@ -11,7 +11,7 @@ it is made, in Python as from a file:
 
 import dataclasses
 import json
-from typing import Annotated, Any, Mapping, TypeVar
+from typing import Annotated, Any, Mapping, Sequence, TypeVar
 
 import pydantic
 from pydantic import fields as pydantic_fields
@@ -29,6 +29,17 @@ NonNegative = Annotated[float, _field(ge=0)]
 Share = Annotated[float, _field(ge=0, le=1)]
 Count = Annotated[int, _field(ge=0)]
 PositiveInt = Annotated[int, _field(gt=0)]
+
+
+def one_of(names: Sequence[str]) -> pydantic.AfterValidator:
+  """Returns what annotates a field that is one of some names."""
+
+  def check(value: str) -> str:
+    if value not in names:
+      raise ValueError(f'must be one of {", ".join(names)}, got {value!r:.50}')
+    return value
+
+  return pydantic.AfterValidator(check)
 
 
 def build(kind: type[_T], values: Any) -> _T:
@@ -67,8 +78,7 @@ def describe(error: pydantic.ValidationError) -> str:
   for problem in error.errors(include_url=False):
     place = '.'.join(str(part) for part in problem['loc'])
     text = problem['msg'].removeprefix('Value error, ').rstrip('.')
-    if problem['type'] == 'value_error':
-      found.append(f'{place}: {text}' if place else text)
-    else:
-      found.append(f'{place}: {text}, got {problem["input"]!r:.50}')
+    if problem['type'] != 'value_error':
+      text = f'{text}, got {problem["input"]!r:.50}'
+    found.append(f'{place}: {text}' if place else text)
   return '; '.join(found)

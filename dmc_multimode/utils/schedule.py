@@ -1,5 +1,6 @@
 """A value that changes along a training, by its environment steps."""
 
+import dataclasses
 import re
 from typing import Annotated, Any, Literal
 
@@ -45,19 +46,35 @@ class Schedule:
 
   def at(self, steps: int) -> float:
     """Returns the value after so many environment steps."""
-    if steps >= self.end:
+    share = self.share(steps)
+    if share == 1.0:
       return self.last
-    if steps < self.start:
-      return self.first
-    share = (steps - self.start) / (self.end - self.start)
     if self.interpolation == 'geometric':
       return float(self.first * (self.last / self.first) ** share)
     return self.first + share * (self.last - self.first)
+
+  def share(self, steps: int) -> float:
+    """Returns how much of the way to `last` is gone after so many steps."""
+    if steps >= self.end:
+      return 1.0
+    return max(steps - self.start, 0) / max(self.end - self.start, 1)
+
+  def __str__(self) -> str:
+    """Returns the text that `parse` reads, but for the interpolation."""
+    if self.first == self.last:
+      return f'{self.first:g}'
+    text = f'{self.first:g}:{self.last:g}@{self.start}'
+    return text if self.start == self.end else f'{text}:{self.end}'
 
 
 def constant(value: float) -> Schedule:
   """Returns the schedule that is always `value`."""
   return Schedule(value, value)
+
+
+def step(value: float, start: int) -> Schedule:
+  """Returns the schedule that is 0 before `start`, and `value` from then on."""
+  return Schedule(0.0, value, start, start)
 
 
 def parse(text: str) -> Schedule:
@@ -89,12 +106,6 @@ def parse(text: str) -> Schedule:
     ) from error
 
 
-def to_text(schedule: Schedule) -> str:
-  """Returns the text that `parse` reads, but for the interpolation."""
-  values = f'{schedule.first!r}:{schedule.last!r}'
-  return f'{values}@{schedule.start}:{schedule.end}'
-
-
 def _convert(value: Any) -> Any:
   """Takes a number, or a text as `parse` does, for a schedule."""
   if isinstance(value, str):
@@ -104,5 +115,25 @@ def _convert(value: Any) -> Any:
   return value
 
 
-# The type of a field that is a schedule; a number or a text will do as well.
+def _convert_geometric(value: Any) -> Any:
+  """Takes what `_convert` does, for a schedule that is geometric."""
+  value = _convert(value)
+  if isinstance(value, Schedule):
+    return dataclasses.replace(value, interpolation='geometric')
+  if isinstance(value, dict):
+    return {**value, 'interpolation': 'geometric'}
+  return value
+
+
+def _check_share(value: Schedule) -> Schedule:
+  if not 0 <= min(value.first, value.last) <= max(value.first, value.last) <= 1:
+    raise ValueError(f'a share is in [0, 1], got {value}')
+  return value
+
+
+# Types of fields that are schedules; a number or a text will do as well.
 ScheduleField = Annotated[Schedule, pydantic.BeforeValidator(_convert)]
+ShareField = Annotated[ScheduleField, pydantic.AfterValidator(_check_share)]
+GeometricField = Annotated[
+  Schedule, pydantic.BeforeValidator(_convert_geometric)
+]

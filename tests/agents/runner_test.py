@@ -15,10 +15,12 @@ import torch
 from dmc_multimode.agents import checkpointing
 from dmc_multimode.agents import runner
 from dmc_multimode.agents.ppo import config as ppo_config
+from dmc_multimode.experiments import config as run_config
 from dmc_multimode.experiments import setup
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set
 from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.utils import schedule
 from tests.agents import toy
 
 pytestmark = pytest.mark.usefixtures('one_thread')
@@ -26,7 +28,7 @@ pytestmark = pytest.mark.usefixtures('one_thread')
 _PPO = ppo_config.PPOConfig(hidden_sizes=(16,), rollout_length=4, minibatches=2)
 # Terrain that moves (launch), mirror images, and episodes short enough to end
 # by all causes within the test.
-_RUN = setup.RunConfig(
+_RUN = run_config.RunConfig(
   modes='idle,walk_left,walk_right,launch',
   num_worlds=8,
   threads=1,
@@ -35,10 +37,7 @@ _RUN = setup.RunConfig(
     _PPO,
     symmetry='augment',
     initial_std=0.2,
-    min_std=0.25,
-    final_min_std=0.1,
-    anneal_start=2 * 32,
-    anneal_end=10 * 32,
+    std_floor=schedule.Schedule(0.25, 0.1, 2 * 32, 10 * 32),
   ),
   task=task_config.ImitationConfig(time_limit=0.45),
 )

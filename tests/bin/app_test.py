@@ -99,11 +99,35 @@ def test_arguments_that_are_no_flags(binary: Binary) -> None:
   assert "unexpected argument 'quickstart'" in result.stderr
 
 
-def test_unknown_flag(binary: Binary) -> None:
-  result = binary('print("ran")', '--stepz=3')
-  assert result.returncode not in (0, None)
-  assert 'stepz' in result.stderr
-  assert not result.stdout
+@pytest.mark.parametrize(
+  ('flag', 'line'),
+  [
+    ('--stepz=3', "Unknown command line flag 'stepz'"),
+    ('--steps=many', 'flag --steps=many: invalid literal'),
+    (
+      '--task_push_speed=0.5',
+      '--task_push_speed is now --task_events_push_speed=0:SPEED@START',
+    ),
+  ],
+)
+def test_wrong_flags(binary: Binary, flag: str, line: str) -> None:
+  result = binary('print("ran")', flag)
+  assert (result.returncode, result.stdout) == (2, '')
+  assert result.stderr.startswith(f'error: {line}')
+  assert result.stderr.count('\n') == 1
+
+
+def test_help_of_a_console_script(tmp_path: pathlib.Path) -> None:
+  script = tmp_path / 'dmc-multimode-curves'
+  script.write_text(
+    f'import sys\nsys.path.insert(0, {str(_ROOT)!r})\n'
+    'from dmc_multimode.bin.curves import cli\ncli()\n'
+  )
+  shown = subprocess.run(
+    [sys.executable, str(script), '--help'], capture_output=True, text=True
+  ).stdout
+  assert shown.startswith('Draws how trainings went')
+  assert '--out' in shown
 
 
 @pytest.fixture

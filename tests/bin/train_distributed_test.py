@@ -13,6 +13,7 @@ import torch
 
 from dmc_multimode import pretrained
 from dmc_multimode.agents import checkpointing
+from dmc_multimode.experiments import config as run_config
 from dmc_multimode.experiments import launch as launches
 from dmc_multimode.experiments import setup
 from tests.bin import processes
@@ -258,7 +259,7 @@ def test_two_ranks_begin_with_one_policy(tmp_path: pathlib.Path) -> None:
 
 
 def test_worlds_that_cannot_be_shared() -> None:
-  config = setup.RunConfig(num_worlds=9)
+  config = run_config.RunConfig(num_worlds=9)
   setup.check_ranks(config, 3)
   with pytest.raises(ValueError, match='num_worlds 9 .* 2 of them'):
     setup.check_ranks(config, 2)

@@ -542,10 +542,9 @@ def test_run_that_began_with_a_policy_goes_on_bit_for_bit(
     # The schedules are those of the whole training, whatever --steps say.
     config = setup.load_run(grown)[0]
     schedules = (
-      f'--ppo_anneal_start={config.ppo.anneal_start}',
-      f'--ppo_anneal_end={config.ppo.anneal_end}',
-      f'--ppo_quiet_start={config.ppo.quiet_start}',
-      f'--sampling_focus_steps={config.sampling.focus_steps}',
+      f'--ppo_std_floor={config.ppo.std_floor}',
+      f'--ppo_deterministic_fraction={config.ppo.deterministic_fraction}',
+      f'--sampling_focus_end={config.sampling.focus_end}',
       f'--steps={iterations * _ITERATION}',
     )
     assert train(flag, f'--init_from={known}', *_FINE, *schedules).code == 0

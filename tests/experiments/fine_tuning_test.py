@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from dmc_multimode import pretrained
+from dmc_multimode.experiments import config as run_config
 from dmc_multimode.experiments import fine_tuning
-from dmc_multimode.experiments import setup
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
 from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.utils import resources
+from dmc_multimode.utils import schedule
 from tests.bin import untrained
 
 _SQUAT = pathlib.Path(__file__).parents[2] / 'docs' / 'squat.yaml'
@@ -55,12 +56,12 @@ def test_defaults_fit_every_shipped_policy(
   assert config.modes.split(',') == [*start.policy.mode_set.names, 'squat']
   assert config.init_modes.split(',') == list(start.policy.mode_set.names)
   assert config.sampling.focused == ('squat',)
-  assert config.sampling.gait_steps == 0
+  assert config.sampling.gait_fraction == schedule.constant(0.0)
   assert config.task.events == config.task.events.at_end()
   least = [config.ppo.std_bounds(steps)[0] for steps in (0, 1000)]
   assert least[1] < 0.5 * least[0]
   # And what a run keeps of it can be read back.
-  assert setup.from_dict(setup.to_dict(config)) == config
+  assert run_config.from_dict(run_config.to_dict(config)) == config
 
 
 def test_its_own_training_is_gone_on_with() -> None:

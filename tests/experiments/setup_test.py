@@ -11,6 +11,7 @@ import torch
 from dmc_multimode import pretrained
 from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.agents.ppo import networks
+from dmc_multimode.experiments import config as run_config
 from dmc_multimode.experiments import setup
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set
@@ -28,7 +29,7 @@ def _build(**changes: Any) -> setup.Run:
   threads = torch.get_num_threads()
   try:
     return setup.build(
-      setup.RunConfig(
+      run_config.RunConfig(
         modes=_MODES,
         num_worlds=4,
         threads=1,
@@ -91,20 +92,20 @@ def test_damaged_configuration(
 @pytest.mark.parametrize(
   ('part', 'name', 'value', 'message'),
   [
-    ('ppo', 'clip', '0.2', 'clip must be a finite number'),
-    ('ppo', 'epochs', 2.5, 'epochs must be a whole number'),
-    ('sampling', 'adaptive', 0, 'adaptive must be true or false'),
-    ('task', 'time_limit', None, 'time_limit must be a finite number'),
-    ('task', 'more', 1, 'more is unknown'),
+    ('ppo', 'clip', '0.2', 'ppo.clip: .*valid number'),
+    ('ppo', 'epochs', 2.5, 'ppo.epochs: .*valid integer'),
+    ('sampling', 'adaptive', 0, 'sampling.adaptive: .*valid boolean'),
+    ('task', 'time_limit', None, 'task.time_limit: .*valid number'),
+    ('task', 'more', 1, 'task.more: '),
   ],
 )
 def test_values_of_another_type(
   part: str, name: str, value: Any, message: str
 ) -> None:
-  values = setup.to_dict(setup.RunConfig())
+  values = run_config.to_dict(run_config.RunConfig())
   values[part][name] = value
   with pytest.raises(ValueError, match=message):
-    setup.from_dict(values)
+    run_config.from_dict(values)
 
 
 def test_configuration_is_of_a_sane_size(tmp_path: pathlib.Path) -> None:
@@ -112,12 +113,12 @@ def test_configuration_is_of_a_sane_size(tmp_path: pathlib.Path) -> None:
     file.truncate(65 << 20)
   with pytest.raises(ValueError, match='too large'):
     setup.load_run(tmp_path)
-  with pytest.raises(ValueError, match='num_worlds must be at most'):
-    setup.RunConfig(num_worlds=10**9)
+  with pytest.raises(ValueError, match='num_worlds'):
+    run_config.RunConfig(num_worlds=10**9)
 
 
 def test_configuration_round_trip() -> None:
-  config = setup.RunConfig(
+  config = run_config.RunConfig(
     ppo=ppo_config.PPOConfig(
       symmetry='alternate',
       advantages='mode',
@@ -125,4 +126,4 @@ def test_configuration_round_trip() -> None:
       activation='elu',
     )
   )
-  assert setup.from_dict(setup.to_dict(config)) == config
+  assert run_config.from_dict(run_config.to_dict(config)) == config

@@ -20,6 +20,7 @@ from dmc_multimode import pretrained
 from dmc_multimode.agents import checkpointing
 from dmc_multimode.agents import loggers
 from dmc_multimode.evaluation import training_figures
+from dmc_multimode.experiments import config as run_config
 from dmc_multimode.experiments import launch
 from dmc_multimode.experiments import setup
 from dmc_multimode.modes import codebook
@@ -83,7 +84,7 @@ def _checkpoint(folder: pathlib.Path) -> None:
 
 def _run(folder: pathlib.Path) -> None:
   motions = library.resolve(_MODES)
-  run = setup.RunConfig(modes=','.join(_MODES), one_hot=True)
+  run = run_config.RunConfig(modes=','.join(_MODES), one_hot=True)
   setup.save_run(folder, run, mode_set.one_hot(motions))
 
 

@@ -18,12 +18,13 @@ from dmc_multimode.agents import checkpointing
 from dmc_multimode.agents import loggers
 from dmc_multimode.agents import runner
 from dmc_multimode.agents.ppo import config as ppo_config
+from dmc_multimode.experiments import config as run_config
 from dmc_multimode.experiments import setup
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set
 from dmc_multimode.utils import files
 
-_RUN = setup.RunConfig(
+_RUN = run_config.RunConfig(
   modes='idle,walk_forward',
   num_worlds=8,
   threads=1,

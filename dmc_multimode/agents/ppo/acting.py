@@ -32,7 +32,7 @@ class BatchedActor:
   def sample(
     self, observation: torch.Tensor, steps: int = 0
   ) -> networks.Sample:
-    """Explores, but in deterministic worlds; all is on the CPU.
+    """Explores, but in the deterministic worlds; all is on the CPU.
 
     Args:
       observation: float32 [B, D].
@@ -41,17 +41,18 @@ class BatchedActor:
     std = self._network.std.cpu()
     mean = self._act(observation)
     noise = torch.empty_like(mean).normal_(generator=self._generator)
-    if self._config.quiet_share and steps >= self._config.quiet_start:
-      self._change_deterministic(len(mean))
+    share = self._config.deterministic_fraction.at(steps)
+    if share:
+      self._change_deterministic(len(mean), share)
       noise[self._deterministic] = 0.0
     action = mean + std * noise
     return networks.Sample(action, networks.log_prob(action, mean, std), mean)
 
-  def _change_deterministic(self, num_worlds: int) -> None:
-    """Lets some worlds act deterministically, and others explore again."""
+  def _change_deterministic(self, num_worlds: int, share: float) -> None:
+    """Draws which worlds stop to explore, and which begin again."""
     if len(self._deterministic) != num_worlds:
       self._deterministic = torch.zeros(num_worlds, dtype=torch.bool)
-    share, end = self._config.quiet_share, 1 / self._config.quiet_steps
+    end = 1 / self._config.deterministic_steps
     begin = end * share / (1 - share)
     drawn = torch.rand(num_worlds, generator=self._generator)
     self._deterministic = torch.where(
@@ -69,11 +70,10 @@ class BatchedActor:
     return self._threads.map_rows(self._network.act, rows).cpu()
 
   def state(self) -> dict[str, torch.Tensor]:
-    """Returns the generator, and which worlds are deterministic."""
+    """Returns the generator, and which worlds act without noise."""
     state = {'generator': self._generator.get_state()}
-    if self._config.quiet_share:
-      # A name of the files, which once was the thing's.
-      state['quiet'] = self._deterministic.clone()
+    if self._config.most_deterministic:
+      state['quiet'] = self._deterministic.clone()  # As checkpoints have it.
     return state
 
   def restore(self, state: Mapping[str, torch.Tensor]) -> None:

@@ -179,7 +179,7 @@ class PPOLearner:
     metrics = {}
     if self._has_reference:
       drift = kickstarting.divergence(mean, std, take(samples.reference_means))
-      loss = loss + config.anchor_weight * drift
+      loss = loss + config.kickstarting_weight * drift
       metrics['loss/kickstarting'] = drift.detach()
     norm = self._policy.step(loss)
     # The parameter itself: one that has left its bounds must feel the gradient.
@@ -225,7 +225,7 @@ class PPOLearner:
     if not config.target_kl:
       return
     # A step is as long as it is in standard deviations.
-    scale = std_floor / config.min_std
+    scale = std_floor / config.std_floor.first
     if kl > 2 * config.target_kl:
       rate = max(rate / _LEARNING_RATE_STEP, config.min_learning_rate * scale)
     elif kl < config.target_kl / 2:

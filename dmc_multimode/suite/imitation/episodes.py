@@ -85,8 +85,8 @@ class TransitionEpisodes:
   ) -> Episodes:
     """See `EpisodeInitialiser`."""
     initial, final = self.sampler.sample(len(ids), random_state)
-    for modes, start, end, share in self._preferences():
-      if len(modes) and start <= self._steps < end:
+    for modes, share in self._preferences():
+      if len(modes) and share:
         shape = (2, len(ids))
         swap = random_state.uniform(size=shape) < share
         preferred = random_state.choice(modes, size=shape)
@@ -98,17 +98,12 @@ class TransitionEpisodes:
     )
     return Episodes(schedule, initial, final)
 
-  def _preferences(self) -> tuple[tuple[np.ndarray, int, int, float], ...]:
-    """Modes that are practised more, from and until which step, how often."""
+  def _preferences(self) -> tuple[tuple[np.ndarray, float], ...]:
+    """Returns modes that are practised more, and how often they replace one."""
     config = self._config
     return (
-      (self._gaits, 0, config.gait_steps, config.gait_share),
-      (
-        self._focused,
-        config.focus_start,
-        config.focus_steps,
-        config.focus_share,
-      ),
+      (self._gaits, config.gait_fraction.at(self._steps)),
+      (self._focused, config.focus_at(self._steps)),
     )
 
   def update(

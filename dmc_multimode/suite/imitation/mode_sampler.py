@@ -1,69 +1,74 @@
 """Which modes an episode practises: Algorithm 1 and its uniform baseline."""
 
-import dataclasses
-from typing import Any, Mapping
+from typing import Annotated, Any, Mapping
 
 import numpy as np
+import pydantic
+from pydantic import dataclasses as pydantic_dataclasses
+
+from dmc_multimode.utils import config as config_lib
+from dmc_multimode.utils import schedule
+
+_Memory = Annotated[float, pydantic.Field(ge=0, lt=1)]
 
 
-@dataclasses.dataclass(frozen=True)
+@pydantic_dataclasses.dataclass(frozen=True, config=config_lib.STRICT)
 class SamplingConfig:
-  """Parameters of Algorithm 1.
+  """Parameters of Algorithm 1, and what it does not decide.
 
   Attributes:
-    adaptive: sample poor modes and transitions more often; uniform otherwise.
+    adaptive: samples poor modes and transitions more often; uniform otherwise.
     gamma_initial: memory gamma_i of the modes' returns, in [0, 1).
     gamma_final: memory gamma_f of the transitions' returns, in [0, 1).
     epsilon: offset that keeps the best mode in the draw.
-    gait_steps: control steps of all worlds together for which gaits, modes that
-      step with one foot at a time, are drawn more often than Algorithm 1 would:
-      who learns to bound on both feet first walks so as well.
-    gait_share: how often, until then, a drawn mode is replaced by a gait.
-    focus: names of modes, comma-separated, that are drawn more often likewise.
-    focus_start: control steps of all worlds together from which on they are.
-    focus_steps: those until which they are.
-    focus_share: how often, in between, a drawn mode is replaced by one of them.
+    gait_fraction: schedule of how often a drawn mode is replaced by a gait, a
+      mode that steps with one foot at a time: who learns to bound on both feet
+      first walks so as well.
+    focus: names of modes, comma-separated, that replace a drawn mode likewise.
+    focus_fraction: schedule of how often they do.
+    focus_end: environment steps after which they no longer do; 0 for no end.
   """
 
   adaptive: bool = True
-  gamma_initial: float = 0.8
-  gamma_final: float = 0.8
-  epsilon: float = 0.2
-  gait_steps: int = 0
-  gait_share: float = 0.7
+  gamma_initial: _Memory = 0.8
+  gamma_final: _Memory = 0.8
+  epsilon: config_lib.NonNegative = 0.2
+  gait_fraction: schedule.ShareField = schedule.constant(0.0)
   focus: str = ''
-  focus_start: int = 0
-  focus_steps: int = 0
-  focus_share: float = 0.5
-
-  def __post_init__(self) -> None:
-    for name in ('gamma_initial', 'gamma_final'):
-      if not 0 <= getattr(self, name) < 1:
-        raise ValueError(
-          f'{name} must be in [0, 1), got {getattr(self, name)}.'
-        )
-    if not self.epsilon >= 0:
-      raise ValueError(f'epsilon must not be negative, got {self.epsilon}.')
-    for name in ('gait_steps', 'focus_start', 'focus_steps'):
-      if getattr(self, name) < 0:
-        raise ValueError(
-          f'{name} must not be negative, got {getattr(self, name)}.'
-        )
-    if self.focus_start > self.focus_steps:
-      raise ValueError(
-        f'focus_start {self.focus_start} must not come after focus_steps '
-        f'{self.focus_steps}, which ends what it begins.'
-      )
-    for name in ('gait_share', 'focus_share'):
-      if not 0 <= getattr(self, name) <= 1:
-        raise ValueError(
-          f'{name} must be in [0, 1], got {getattr(self, name)}.'
-        )
+  focus_fraction: schedule.ShareField = schedule.constant(0.5)
+  focus_end: config_lib.Count = 0
 
   @property
   def focused(self) -> tuple[str, ...]:
     """The names in `focus`."""
     return tuple(name.strip() for name in self.focus.split(',') if name.strip())
+
+  def focus_at(self, steps: int) -> float:
+    """Returns how often a drawn mode is replaced by one of `focus`."""
+    if self.focus_end and steps >= self.focus_end:
+      return 0.0
+    return self.focus_fraction.at(steps)
+
+
+def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
+  """Returns the JSON of an earlier version in the words of this one."""
+  if 'gait_fraction' in values:
+    return dict(values)
+  new = dict(values)
+  share, end = new.pop('gait_share', 0.7), new.pop('gait_steps', 0)
+  new['gait_fraction'] = (
+    {'first': share, 'last': 0.0, 'start': end, 'end': end} if end else 0.0
+  )
+  share, start = new.pop('focus_share', 0.5), new.pop('focus_start', 0)
+  new['focus_end'] = new.pop('focus_steps', 0)
+  new['focus_fraction'] = (
+    {'first': 0.0, 'last': share, 'start': start, 'end': start}
+    if start
+    else share
+  )
+  if not new['focus_end']:  # Which once was: never.
+    new['focus'] = ''
+  return new
 
 
 def returns_to_probabilities(returns: np.ndarray, epsilon: float) -> np.ndarray:

@@ -8,12 +8,15 @@ from dmc_multimode.agents import pair
 from dmc_multimode.agents.ppo import acting
 from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.agents.ppo import networks
+from dmc_multimode.utils import schedule
 
 pytestmark = pytest.mark.usefixtures('one_thread')
 
 _D, _A = 3, 2
 _CONFIG = ppo_config.PPOConfig(
-  hidden_sizes=(16,), quiet_share=0.25, quiet_steps=20, quiet_start=1000
+  hidden_sizes=(16,),
+  deterministic_fraction=schedule.step(0.25, 1000),
+  deterministic_steps=20,
 )
 
 
@@ -75,12 +78,3 @@ def test_restored_actor_goes_on_exactly() -> None:
   for _ in range(30):
     samples = [a.sample(torch.ones(50, _D), 1000) for a in (first, second)]
     assert all(map(torch.equal, *samples))
-
-
-@pytest.mark.parametrize(
-  ('name', 'value'),
-  [('quiet_share', 1.0), ('quiet_share', -0.1), ('quiet_steps', 0)],
-)
-def test_config_rejects(name: str, value: float) -> None:
-  with pytest.raises(ValueError, match=name):
-    ppo_config.PPOConfig(**{name: value})  # type: ignore[arg-type]

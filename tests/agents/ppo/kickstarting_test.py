@@ -78,7 +78,7 @@ def test_reference_knows_some_modes_and_stays_what_it_is() -> None:
 def test_known_mode_is_held_and_the_other_is_learned(weight: float) -> None:
   """The reward is for actions of 1, whatever is commanded."""
   network = _network()
-  config = dataclasses.replace(_CONFIG, anchor_weight=weight)
+  config = dataclasses.replace(_CONFIG, kickstarting_weight=weight)
   learner = learning.PPOLearner(
     network,
     config,
@@ -127,5 +127,5 @@ def test_no_reference_no_metric() -> None:
 
 
 def test_weight_must_not_be_negative() -> None:
-  with pytest.raises(ValueError, match='anchor_weight'):
-    ppo_config.PPOConfig(anchor_weight=-1.0)
+  with pytest.raises(ValueError, match='kickstarting_weight'):
+    ppo_config.PPOConfig(kickstarting_weight=-1.0)

@@ -19,6 +19,7 @@ from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.agents.ppo import learning
 from dmc_multimode.agents.ppo import networks
 from dmc_multimode.agents.ppo import rollouts as rollouts_lib
+from dmc_multimode.utils import schedule
 from tests.agents import toy
 
 pytestmark = pytest.mark.usefixtures('one_thread')
@@ -152,11 +153,8 @@ def test_std_is_bounded_by_the_steps(
 ) -> None:
   """Whatever the network's normaliser has seen in another training."""
   learner = _learner(
-    min_std=0.1,
     initial_std=0.4,
-    final_min_std=0.025,
-    anneal_start=_STEPS,
-    anneal_end=3 * _STEPS,
+    std_floor=schedule.Schedule(0.1, 0.025, _STEPS, 3 * _STEPS),
   )
   learner.network.normaliser.count.fill_(seen)
   learner.network.log_std.data.fill_(start)
@@ -166,25 +164,21 @@ def test_std_is_bounded_by_the_steps(
 
 
 def test_std_bounds_by_hand() -> None:
-  bounds: dict[str, Any] = {
-    'min_std': 0.1,
-    'initial_std': 0.4,
-    'final_min_std': 0.025,
-  }
-  config = ppo_config.PPOConfig(**bounds, anneal_start=100, anneal_end=300)
+  config = ppo_config.PPOConfig(
+    initial_std=0.4, std_floor=schedule.Schedule(0.1, 0.025, 100, 300)
+  )
   steps = (0, 100, 200, 300, 1000)
   found = [config.std_bounds(n)[0] for n in steps]
   assert found == pytest.approx([0.1, 0.1, 0.05, 0.025, 0.025])
   found = [config.std_bounds(n)[1] for n in steps]
   assert found == pytest.approx([0.4, 0.4, 0.2, 0.1, 0.1])
-  assert ppo_config.PPOConfig(**bounds).std_bounds(1000)[0] == 0.1
   # Whoever begins below the floor stays on it.
-  low = ppo_config.PPOConfig(min_std=0.3, initial_std=0.1)
+  low = ppo_config.PPOConfig(initial_std=0.1, std_floor=schedule.constant(0.3))
   assert low.std_bounds(7) == (0.3, 0.3)
 
 
 def test_bounded_std_leaves_its_bounds_by_the_gradient() -> None:
-  learner = _learner(min_std=0.1, initial_std=0.4, entropy_coefficient=1.0)
+  learner = _learner(std_floor=0.1, initial_std=0.4, entropy_coefficient=1.0)
   learner.network.log_std.data.fill_(-9.0)
   found = [learner.step(_rollouts(learner.network), 0)['std'] for _ in range(2)]
   assert 0.1 <= found[0] < found[1] < 0.4
@@ -195,10 +189,7 @@ def test_bounds_of_the_learning_rate_fall_with_the_std() -> None:
     learning_rate=1e-3,
     min_learning_rate=1e-3,
     target_kl=1e-12,
-    min_std=0.4,
-    final_min_std=0.1,
-    anneal_start=0,
-    anneal_end=2 * _T * _B,
+    std_floor=schedule.Schedule(0.4, 0.1, 0, 2 * _STEPS),
   )
   rollouts = _rollouts(learner.network)
   found = [
@@ -469,8 +460,11 @@ def test_state_of_another_network() -> None:
     ({'entropy_coefficient': math.nan}, 'entropy_coefficient'),
     ({'max_learning_rate': 1e-5}, 'min_learning_rate'),
     ({'target_kl': -0.01}, 'target_kl'),
-    ({'anneal_start': -1}, 'anneal_start'),
-    ({'anneal_start': 2, 'anneal_end': 1}, 'anneal_end'),
+    ({'std_floor': 0.0}, 'a geometric schedule needs positive'),
+    ({'std_floor': '0.2:0.1@2:1'}, 'cannot end'),
+    ({'deterministic_fraction': 1.0}, 'deterministic_fraction'),
+    ({'deterministic_fraction': -0.1}, 'deterministic_fraction'),
+    ({'deterministic_steps': 0}, 'deterministic_steps'),
     ({'hidden_sizes': ()}, 'hidden_sizes'),
     ({'hidden_sizes': (16, 0)}, 'hidden_sizes'),
     ({'symmetry': 'both'}, 'symmetry'),

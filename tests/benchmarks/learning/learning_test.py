@@ -15,7 +15,7 @@ import torch
 from benchmarks.learning import learners
 from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.agents.ppo import networks
-from dmc_multimode.experiments import setup
+from dmc_multimode.experiments import config as run_config
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.walkers import mini_biped
 from tests.benchmarks import scripted
@@ -194,8 +194,8 @@ def test_stable_baselines3_bootstraps_time_limits_alone() -> None:
 # Learners.
 
 
-def _config(**changes: Any) -> setup.RunConfig:
-  return setup.RunConfig(
+def _config(**changes: Any) -> run_config.RunConfig:
+  return run_config.RunConfig(
     modes='idle',
     num_worlds=4,
     threads=1,

@@ -6,7 +6,7 @@ import pathlib
 import pytest
 
 from benchmarks.release import shipping
-from dmc_multimode.experiments import setup
+from dmc_multimode.experiments import config as run_config
 
 _CSV = 'steps,mra\n10,0.123456\n20,0.2\n30,0.3\n40,0.4\n45,0.45\n'
 
@@ -29,7 +29,9 @@ def test_what_is_no_curve_is_refused(text: str) -> None:
 def _make_run(folder: pathlib.Path, seed: int) -> pathlib.Path:
   for part in ('policy', 'encoder', 'policies/10'):
     (folder / part).mkdir(parents=True)
-  run, other = (setup.to_dict(setup.RunConfig(seed=seed)) for seed in (0, seed))
+  run, other = (
+    run_config.to_dict(run_config.RunConfig(seed=seed)) for seed in (0, seed)
+  )
   (folder / 'config.json').write_text(json.dumps({'run': run}))
   (folder / 'metrics.csv').write_text(_CSV)
   (folder / 'encoder' / 'encoder.json').write_text('{}')

@@ -8,6 +8,7 @@ from dmc_multimode.modes import library
 from dmc_multimode.modes import schedule
 from dmc_multimode.suite.imitation import episodes
 from dmc_multimode.suite.imitation import mode_sampler
+from dmc_multimode.utils import schedule as schedules
 
 _PI2 = library.mode_set('pi2')
 
@@ -42,7 +43,11 @@ class TransitionEpisodesTest(parameterized.TestCase):
     """A walk in place of 7 of 10 modes, for as long as was asked for."""
     walk = _PI2.index('walk_forward')
     configs = [
-      mode_sampler.SamplingConfig(gait_steps=steps) for steps in (0, 1000)
+      mode_sampler.SamplingConfig(gait_fraction=fraction)
+      for fraction in (
+        schedules.constant(0.0),
+        schedules.Schedule(0.7, 0.0, 1000, 1000),
+      )
     ]
     plain, first = (
       episodes.TransitionEpisodes(_PI2, config) for config in configs
@@ -69,7 +74,7 @@ class TransitionEpisodesTest(parameterized.TestCase):
 
   def test_no_gait_to_come_first(self) -> None:
     modes = library.mode_set('idle,hop_forward,launch')
-    config = mode_sampler.SamplingConfig(gait_steps=1000)
+    config = mode_sampler.SamplingConfig(gait_fraction=schedules.constant(0.7))
     drawn = episodes.TransitionEpisodes(modes, config).sample(
       np.arange(300), np.random.RandomState(0)
     )
@@ -79,9 +84,8 @@ class TransitionEpisodesTest(parameterized.TestCase):
     """Two modes in place of 4 of 10, when it was asked for."""
     config = mode_sampler.SamplingConfig(
       focus='launch, idle',
-      focus_start=1000,
-      focus_steps=2000,
-      focus_share=0.4,
+      focus_fraction=schedules.step(0.4, 1000),
+      focus_end=2000,
     )
     initialiser = episodes.TransitionEpisodes(_PI2, config)
     for expected in (1 / 4, 0.2 + 0.6 / 4, 1 / 4):

@@ -143,13 +143,10 @@ class ModeSamplerTest(parameterized.TestCase):
     ({'gamma_final': -0.1}, 'gamma_final'),
     ({'epsilon': -0.1}, 'epsilon'),
     ({'epsilon': float('nan')}, 'epsilon'),
-    ({'gait_steps': -1}, 'gait_steps'),
-    ({'focus_start': -1}, 'focus_start'),
-    ({'focus_start': 9, 'focus_steps': 8}, 'focus_start 9 must not come'),
-    ({'focus_steps': -1}, 'focus_steps'),
-    ({'focus_share': -0.1}, 'focus_share'),
-    ({'gait_share': 1.1}, 'gait_share'),
-    ({'gait_share': float('nan')}, 'gait_share'),
+    ({'focus_end': -1}, 'focus_end'),
+    ({'focus_fraction': -0.1}, 'a share is in'),
+    ({'gait_fraction': 1.1}, 'a share is in'),
+    ({'gait_fraction': float('nan')}, 'finite'),
   )
   def test_config_rejects(self, values: dict[str, float], message: str) -> None:
     with self.assertRaisesRegex(ValueError, message):

@@ -1,0 +1,89 @@
+"""Everything that decides a run's result, in one dataclass."""
+
+import json
+from typing import Annotated, Any, Mapping
+
+import pydantic
+from pydantic import dataclasses as pydantic_dataclasses
+
+from dmc_multimode.agents.ppo import config as ppo_config
+from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.suite.imitation import events
+from dmc_multimode.suite.imitation import mode_sampler
+from dmc_multimode.utils import config as config_lib
+from dmc_multimode.utils import schedule
+
+_Seed = Annotated[int, pydantic.Field(ge=0, lt=2**32)]
+_Worlds = Annotated[int, pydantic.Field(ge=1, le=1_000_000)]
+
+
+@pydantic_dataclasses.dataclass(frozen=True, config=config_lib.STRICT)
+class RunConfig:
+  """Everything that decides a run's result.
+
+  What docs/LEARNING.md found best is the default.
+
+  Attributes:
+    modes: a set's name or mode names, comma-separated.
+    seed: of all randomness.
+    num_worlds: stepped together, by all processes.
+    threads: of the physics and of torch, in each process; part of
+      bit-reproducibility.
+    one_hot: one-hot commands instead of an encoder's latents.
+    init_from: the policy that it begins with, as its user has named it; empty
+      for none.
+    init_modes: the modes that this policy knows, comma-separated.
+    ppo: of the learner.
+    sampling: of Algorithm 1.
+    task: of the imitation task.
+  """
+
+  modes: str = 'quickstart'
+  seed: _Seed = 0
+  num_worlds: _Worlds = 1024
+  threads: config_lib.PositiveInt = 2
+  one_hot: bool = False
+  init_from: str = ''
+  init_modes: str = ''
+  ppo: ppo_config.PPOConfig = ppo_config.PPOConfig(
+    symmetry='alternate',
+    std_floor=schedule.Schedule(0.17, 0.05, 6_000_000, 9_000_000),
+  )
+  sampling: mode_sampler.SamplingConfig = mode_sampler.SamplingConfig()
+  task: task_config.ImitationConfig = task_config.ImitationConfig(
+    physics_timestep=0.01,
+    events=events.TrainingEvents(
+      # Farther from the reference at first.
+      distance_slack=schedule.Schedule(0.15, 0.0, 0, 3_000_000),
+      assistance_steps=2_000_000,
+    ),
+  )
+
+
+def to_dict(config: RunConfig) -> dict[str, Any]:
+  """Returns the configuration as JSON-able values."""
+  # Tuples become lists, as they are once they are read.
+  values: dict[str, Any] = json.loads(json.dumps(config_lib.to_dict(config)))
+  return values
+
+
+def from_dict(values: Mapping[str, Any]) -> RunConfig:
+  """Returns what `to_dict` was given, now or by an earlier version.
+
+  Raises:
+    ValueError: in one line, a field is unknown, missing or of the wrong type.
+  """
+  try:
+    return config_lib.build(
+      RunConfig,
+      {
+        **values,
+        'ppo': ppo_config.upgraded(values['ppo']),
+        'sampling': mode_sampler.upgraded(values['sampling']),
+        'task': task_config.upgraded(values['task']),
+      },
+    )
+  except (AttributeError, KeyError, TypeError, ValueError) as error:
+    lacks = isinstance(error, KeyError)
+    reason = f'it lacks {error}' if lacks else str(error).rstrip('.')
+    raise ValueError(f'Not the configuration of a run: {reason}.') from error
