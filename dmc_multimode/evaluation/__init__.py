@@ -1,7 +1,9 @@
 """Deterministic evaluation: scores, gait metrics, figures and reports.
 
-values = evaluation.evaluate('pi2', seed=0)
-values['mra_modes'], values['acceptance']['walk_forward']
+One call measures everything:
+
+    values = evaluation.evaluate('pi2', seed=0)
+    values['mra_modes'], values['acceptance']['walk_forward']
 """
 
 from typing import Any

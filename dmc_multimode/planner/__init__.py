@@ -1,8 +1,10 @@
 """Planning over modes (Krishna and Nguyen, Sec. II-E): when to command which.
 
-result = planner.solve('pi2', arena='gap', seed=0)
-result.save('plan.json')
-planner.PlanFile.read('plan.json').plan.modes
+One call finds a plan, and its file holds it:
+
+    result = planner.solve('pi2', arena='gap', seed=0)
+    result.save('plan.json')
+    planner.PlanFile.read('plan.json').plan.modes
 """
 
 from typing import Any

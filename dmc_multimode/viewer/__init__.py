@@ -1,6 +1,8 @@
 """Policies to be looked at: videos, a page in the browser, a window.
 
-viewer.record('pi2', 'walk_forward:2,launch:2', out='video.mp4')
+One call films a schedule:
+
+    viewer.record('pi2', 'walk_forward:2,launch:2', out='video.mp4')
 """
 
 from typing import Any
