@@ -20,7 +20,7 @@ from dmc_multimode.suite.imitation import episodes as episodes_lib
 
 
 class Policy(Protocol):
-  """What is evaluated: what `pretrained.Policy` has, and others may have."""
+  """Parts of a policy that are evaluated; `pretrained.Policy` has them."""
 
   @property
   def mode_set(self) -> mode_set_lib.ModeSet:

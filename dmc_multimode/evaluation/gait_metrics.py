@@ -1,4 +1,4 @@
-"""What the body did in an episode: metrics of the trunk and of the feet."""
+"""Gait metrics: measures of the trunk and of the feet in an episode."""
 
 from typing import Iterable, Mapping, NamedTuple
 
@@ -158,7 +158,7 @@ def agreement(trace: Trace) -> float:
 
 
 def _majority(flags: np.ndarray) -> np.ndarray:
-  """What two of every three rows in a row say, [T, 2] -> [T - 2, 2]."""
+  """Returns the majority of every three rows, [T, 2] -> [T - 2, 2]."""
   if len(flags) < 3:
     return flags
   return flags[:-2].astype(int) + flags[1:-1] + flags[2:] >= 2

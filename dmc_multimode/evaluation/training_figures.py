@@ -1,4 +1,4 @@
-"""How trainings went, drawn: from the metrics that runs wrote."""
+"""Figures of trainings, drawn from the metrics that runs wrote."""
 
 import csv
 import math
@@ -64,7 +64,7 @@ def draw_returns(
         alpha=0.2,
         linewidth=0,
       )
-    axis.set(title=title, xlabel='million control steps', ylim=(0.0, 1.0))
+    axis.set(title=title, xlabel='million environment steps', ylim=(0.0, 1.0))
   axes[0].set_ylabel('normalised return, exploring')
   axes[0].legend()
   return drawn
@@ -99,7 +99,7 @@ def draw_sampling(run: Curves) -> matplotlib.figure.Figure:
       axis.plot(
         steps / _MILLION, values, label=name.partition('->')[-1] or name
       )
-    axis.set(title=title, xlabel='million control steps', ylim=(0.0, 1.0))
+    axis.set(title=title, xlabel='million environment steps', ylim=(0.0, 1.0))
   for axis in axes.flat[len(panels) :]:
     axis.remove()
   axes[0, 0].set_ylabel('probability, running mean')

@@ -19,6 +19,7 @@ _HOMES = {
   'choose_backend': 'gl',
   'film': 'recording',
   'record': 'recording',
+  'view': 'serving',
 }
 __all__ = list(_HOMES)
 

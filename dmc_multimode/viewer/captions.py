@@ -1,4 +1,4 @@
-"""What is written into the frames of a recording."""
+"""Text and timeline in the frames of a recording."""
 
 import functools
 from typing import NamedTuple, Sequence, TYPE_CHECKING

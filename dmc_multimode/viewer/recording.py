@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class RecordingConfig:
-  """How a roll-out is drawn.
+  """Camera, size and speed of a video.
 
   Attributes:
     camera: one of `camera.VIEWS`, or a camera of the model.
@@ -47,7 +47,7 @@ class RecordingConfig:
 
 
 class Outcome(NamedTuple):
-  """How one command of the schedule went.
+  """Outcome of one command of the schedule.
 
   Attributes:
     mode: name of the mode.
@@ -76,7 +76,7 @@ class Outcome(NamedTuple):
 
 
 class Recording(NamedTuple):
-  """What a video shows.
+  """Content of a video.
 
   Attributes:
     outcomes: how each command went.

@@ -22,7 +22,7 @@ _SPEED_WINDOW = 0.3  # Seconds over which the shown speed is a mean.
 
 
 class Step(NamedTuple):
-  """What a control step led to.
+  """State of the robot after a control step.
 
   Attributes:
     command: index into the schedule of the command that was in force.
@@ -86,7 +86,7 @@ class Robot:
 
   @property
   def environment(self) -> composer.Environment:
-    """What `start` compiled."""
+    """The Composer environment that `start` compiled."""
     return self._environment
 
   @property
@@ -179,7 +179,7 @@ class Robot:
 
 @dataclasses.dataclass(frozen=True)
 class RolloutConfig:
-  """What is rolled out.
+  """A schedule on a track, and the conditions of its roll-out.
 
   Attributes:
     modes: names of the commanded modes.
@@ -244,7 +244,7 @@ class Rollout:
 
   @property
   def pushes(self) -> tuple[pushes_lib.Push, ...]:
-    """What the robot meets."""
+    """Pushes that the robot meets."""
     return self._config.pushes
 
   @property

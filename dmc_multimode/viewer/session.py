@@ -60,7 +60,7 @@ class PlanSearch:
 
   @property
   def done(self) -> bool:
-    """Whether it is over."""
+    """True once the search is over."""
     return self._found.done()
 
   def result(self) -> plan_lib.PlanResult:
@@ -72,7 +72,7 @@ class PlanSearch:
     return self._found.result()
 
   def cancel(self) -> None:
-    """Lets it end at the next knot."""
+    """Ends the search at the next knot."""
     self._cancelled.set()
 
   def _report(self, status: solver.Status) -> None:
@@ -82,7 +82,7 @@ class PlanSearch:
 
 
 class LiveState(NamedTuple):
-  """What a step of a session led to.
+  """State of a session after a step.
 
   Attributes:
     step: of the robot; the last one while a state that is not finite waits to
@@ -206,7 +206,7 @@ class LiveSession:
     self.robot.push((x, y, 0.0))
 
   def set_clock_rate(self, rate: float) -> None:
-    """Lets the modes run faster or slower from now on.
+    """Sets the rate at which the modes run from now on.
 
     Raises:
       ValueError: the rate is not within `CLOCK_RATES`.

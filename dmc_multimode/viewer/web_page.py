@@ -111,7 +111,7 @@ class Page:
     return ask
 
   def _bind(self, label: str, key: Any, request: Callable[[], None]) -> None:
-    """Lets a key ask for something."""
+    """Binds a key to a request."""
     command = self._server.gui.add_command(label, hotkey=key)
     command.on_trigger(lambda _: self._ask(request))
 

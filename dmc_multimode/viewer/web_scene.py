@@ -1,4 +1,4 @@
-"""What the page shows of the world: the robot, its reference and the ground.
+"""The world on the page: the robot, its reference and the ground.
 
 mjviser turns the robot's geoms into meshes. The ground is drawn here, as in the
 videos, because its boxes change their sizes. The world moves past the origin,

@@ -95,17 +95,6 @@ def test_two_ranks_report_what_one_does(
   assert shared.stdout.splitlines()[:-1] == alone.stdout.splitlines()[:-1]
 
 
-def test_figures(
-  evaluate: processes.Binary, policy: pathlib.Path, tmp_path: pathlib.Path
-) -> None:
-  folder = tmp_path / 'new' / 'figures'
-  done = evaluate(f'--policy={policy}', '--episodes=1', f'--figures={folder}')
-  assert done.code == 0, done.stderr
-  assert done.stdout.splitlines()[-1] == f'The figures are in {folder}'
-  names = {path.name for path in folder.iterdir()}
-  assert names == {'heights.png', 'contacts.png', 'sequence.png'}
-
-
 def test_page_where_nothing_draws(
   evaluate: processes.Binary, policy: pathlib.Path, tmp_path: pathlib.Path
 ) -> None:
@@ -153,7 +142,8 @@ def test_clock_rates(
     assert f'clock rate {rate}: walk_forward {found["velocity"]:.2f}' in (
       done.stdout
     )
-  assert (folder / 'clock_rates.png').is_file()
+  names = {path.stem for path in folder.iterdir()}
+  assert names == {'clock_rates', 'contacts', 'heights', 'sequence'}
 
 
 def test_clock_rates_where_nothing_travels(
@@ -193,26 +183,15 @@ def test_what_changes_the_figures(
   ('flags', 'message'),
   [
     (['--policy=fly'], "'fly'"),
-    (['--policy={tmp}'], 'policy.json'),
-    (['--policy={tmp}/absent'], 'absent'),
     (['--policy={tmp}/damaged'], 'damaged'),
     (['--episodes=0'], 'episodes'),
-    (['--episodes=-2'], 'episodes'),
     (['--physics_timestep=0.007'], 'physics_timestep'),
-    (['--physics_timestep=-1'], 'physics_timestep'),
-    (['--physics_timestep=0'], 'physics_timestep'),
     (['--clock_rate=0'], 'rates must be positive'),
-    (['--clock_rate=nan'], 'rates must be positive'),
     (['--clock_rates=1,0'], 'clock_rates must be positive'),
     (['--clock_rates=fast'], "'fast'"),
-    (['--seed=-1'], 'Seed'),
-    (['--out={tmp}'], 'folder'),
     (['--out={tmp}/file/report.json'], 'file'),
-    (['--html={tmp}'], 'folder'),
     (['--html={tmp}/new/report.html', '--episodes=0'], 'episodes'),
     (['--figures={tmp}/file'], 'file'),
-    (['--figures={tmp}/file/below'], 'file'),
-    (['walk_forward'], "'walk_forward'"),
   ],
   ids=lambda value: value if isinstance(value, str) else ' '.join(value),
 )

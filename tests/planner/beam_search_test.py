@@ -137,14 +137,6 @@ def test_plans_are_as_long_as_the_problem() -> None:
   assert learned.plans.shape == (18, 6)
 
 
-def test_escalation() -> None:
-  assert beam_search.BeamConfig().escalation() == [
-    beam_search.BeamConfig(24, 1),
-    beam_search.BeamConfig(48, 1),
-    beam_search.BeamConfig(96, 1),
-  ]
-
-
 @pytest.mark.parametrize('seed', range(3))
 def test_q_learning_finds_a_plan(seed: int) -> None:
   toy: Any = _Toy(5)
@@ -220,11 +212,9 @@ def test_exploration_lasts(time: float, stays: float) -> None:
   [
     (beam_search.BeamConfig, {'beams': 0}, 'beams'),
     (beam_search.BeamConfig, {'attempts': 0}, 'attempts'),
-    (q_learning.QLearningConfig, {'trials': 0}, 'trials'),
     (q_learning.QLearningConfig, {'episodes': -1}, 'episodes'),
     (q_learning.QLearningConfig, {'learning_rate': 0.0}, 'learning_rate'),
     (q_learning.QLearningConfig, {'discount': 1.1}, 'discount'),
-    (q_learning.QLearningConfig, {'final_epsilon': -0.1}, 'final_epsilon'),
     (
       q_learning.QLearningConfig,
       {'exploration_time': -1.0},

@@ -157,7 +157,7 @@ class ReachingEnvironment(dm_env.Environment):
 
   @property
   def reached(self) -> bool:
-    """Whether the robot is at the goal now, upright; see `reaching.reached`."""
+    """True while the robot is at the goal, upright; see `reaching.reached`."""
     qpos = self.physics.data.qpos[None]
     return bool(reaching.reached(qpos, self._terrain, self.goal)[0])
 

@@ -1,9 +1,10 @@
-"""Reaching a place by mode commands alone (Sec. II-E): what is asked.
+"""Reaching a place by mode commands alone: goals, rewards, problems.
 
-A plan commands a mode at each of k knots, dt seconds apart. It sees neither the
-robot nor the ground; a low-level policy turns its commands into motion. What a
-plan is worth is the sum of exp(-|goal - p|) over the control steps, p being the
-position of the trunk.
+Krishna and Nguyen, Sec. II-E: a plan commands a mode at each of k knots, dt
+seconds apart. It sees neither the robot nor the ground; a low-level policy
+turns its commands into motion. Its return is the sum over the control steps of
+
+    exp(-|goal - p|),   p: position of the trunk, world metres.
 """
 
 import dataclasses
@@ -33,7 +34,7 @@ GAP = -1.0  # Metres: what `ground_ahead` says where nothing is.
 
 
 class Policy(Protocol):
-  """What turns commands into motion; `pretrained.Policy` does."""
+  """Policy that turns commands into motion; `pretrained.Policy` is one."""
 
   @property
   def mode_set(self) -> mode_set_lib.ModeSet:
@@ -49,7 +50,7 @@ class Policy(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class ReachingConfig:
-  """What is to be reached, and how a plan is cut up.
+  """Goal of a plan, and the knots that it is cut into.
 
   Attributes:
     goal: of the trunk in the world, metres (x, y, z).

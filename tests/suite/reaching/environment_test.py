@@ -195,14 +195,6 @@ def test_last_knot_ends_the_episode() -> None:
     assert again.first()
 
 
-def test_time_limit_of_the_inner_environment() -> None:
-  env, _ = _load_puppet('gap', {'time_limit': 0.44})
-  env.reset()
-  assert env.step(_IDLE).mid()
-  last = env.step(_IDLE)
-  assert (last.last(), last.discount) == (True, 1.0)
-
-
 def test_policy_acts_on_the_new_command_at_once() -> None:
   env, puppet = _load_puppet('gap')
   env.reset()
@@ -302,17 +294,3 @@ def test_no_policy() -> None:
     _load('gap', policy='pi9')
   with pytest.raises(TypeError, match='has no config, select_action'):
     _load('gap', policy=types.SimpleNamespace(mode_set=_Puppet.mode_set))
-
-
-@pytest.mark.parametrize(
-  ('changes', 'message'),
-  [
-    ({'knot_duration': 0.1}, 'no multiple of the control step'),
-    ({'goal': (1.0, 0.0, 0.5)}, 'not over the track'),
-  ],
-)
-def test_no_problem(changes: dict[str, Any], message: str) -> None:
-  config = dataclasses.replace(reaching.ReachingConfig(), **changes)
-  puppet: Any = _Puppet()
-  with pytest.raises(ValueError, match=message):
-    _assemble(puppet, 'gap', config)
