@@ -97,13 +97,13 @@ def _evaluate(no_videos: str, communicator: distributed.Communicator) -> None:
 def _encoder_seed(name: str) -> int | None:
   """Returns the seed of the encoder beside a policy, None if there is none."""
   from dmc_multimode.experiments import fine_tuning
-  from dmc_multimode.modes.encoder import training as encoder_training
+  from dmc_multimode.modes.encoder import mode_encoder
 
   try:
     folder = fine_tuning.find_encoder(name)
   except ValueError:
     return None
-  return encoder_training.load(folder).config.seed
+  return mode_encoder.load(folder).config.seed
 
 
 def _report(

@@ -41,6 +41,7 @@ from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import motion as motion_lib
+from dmc_multimode.modes.encoder import mode_encoder
 from dmc_multimode.modes.encoder import training as encoder_training
 from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.suite.imitation import symmetry as task_symmetry
@@ -149,7 +150,7 @@ def _begin(directory: pathlib.Path, size: int) -> setup.Ingredients:
     task_symmetry.mirror_image(mode_set)  # Raises where there is none.
   encoder = None
   if _ENCODER.value and not start and not config.one_hot:
-    encoder = encoder_training.load(_ENCODER.value)
+    encoder = mode_encoder.load(_ENCODER.value)
     encoder.codebook().subset(mode_set.names)
   if (directory / setup.CONFIG_FILE).exists() or checkpointing.Checkpointer(
     directory
@@ -174,11 +175,11 @@ def _begin(directory: pathlib.Path, size: int) -> setup.Ingredients:
 
 def _train_encoder(
   motions: tuple[motion_lib.ReferenceMotion, ...], seed: int
-) -> encoder_training.ModeEncoder:
+) -> mode_encoder.ModeEncoder:
   print('Training the mode encoder.', flush=True)
   contacts = encoder_training.needs_contacts(motions)
   return encoder_training.train(
-    motions, encoder_training.EncoderConfig(use_contacts=contacts, seed=seed)
+    motions, mode_encoder.EncoderConfig(use_contacts=contacts, seed=seed)
   )
 
 

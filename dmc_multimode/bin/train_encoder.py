@@ -20,6 +20,7 @@ from dmc_multimode.evaluation import figures
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
 from dmc_multimode.modes import motion as motion_lib
+from dmc_multimode.modes.encoder import mode_encoder
 from dmc_multimode.modes.encoder import network
 from dmc_multimode.modes.encoder import training as encoder_training
 
@@ -41,7 +42,7 @@ def main(argv: Sequence[str]) -> None:
   del argv
   motions = _motions(_MODES.value, _MODE_FILE.value)
   motion_lib.check_names(motions)  # Refuses duplicates before a bar shows.
-  config = encoder_training.EncoderConfig(
+  config = mode_encoder.EncoderConfig(
     use_contacts=encoder_training.needs_contacts(motions), seed=_SEED.value
   )
   out = _writable(_OUT.value)
@@ -51,14 +52,14 @@ def main(argv: Sequence[str]) -> None:
   trained.save(out)
   figures.save(out / _FIGURE_FILE, figure)
   for name in (
-    encoder_training.WEIGHTS_FILE,
-    encoder_training.CONFIG_FILE,
+    mode_encoder.WEIGHTS_FILE,
+    mode_encoder.CONFIG_FILE,
     _FIGURE_FILE,
   ):
     print(f'wrote {out / name}')
 
 
-def tables(trained: encoder_training.ModeEncoder) -> str:
+def tables(trained: mode_encoder.ModeEncoder) -> str:
   """Returns the RMSE per mode and the distances between latents as text."""
   names = list(trained.rmse())
   width = max(len(name) for name in names)
@@ -78,7 +79,7 @@ def tables(trained: encoder_training.ModeEncoder) -> str:
   return '\n'.join(lines)
 
 
-def draw(trained: encoder_training.ModeEncoder) -> matplotlib.figure.Figure:
+def draw(trained: mode_encoder.ModeEncoder) -> matplotlib.figure.Figure:
   """Draws the paper's encoding figure, a column a mode.
 
   Base positions over time of the references on top, of the reconstructions in
@@ -135,8 +136,8 @@ def _writable(out: str | None) -> pathlib.Path:
 
 def _train(
   motions: Sequence[motion_lib.ReferenceMotion],
-  config: encoder_training.EncoderConfig,
-) -> encoder_training.ModeEncoder:
+  config: mode_encoder.EncoderConfig,
+) -> mode_encoder.ModeEncoder:
   """Trains under a progress bar."""
   with tqdm.tqdm(desc='encoder', unit='epoch') as bar:
 

@@ -19,7 +19,7 @@ from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes.encoder import extension
-from dmc_multimode.modes.encoder import training as encoder_training
+from dmc_multimode.modes.encoder import mode_encoder
 from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.utils import resources
@@ -51,7 +51,7 @@ class Start:
 
   name: str
   policy: pretrained.Policy
-  encoder: encoder_training.ModeEncoder
+  encoder: mode_encoder.ModeEncoder
 
   def config(self, motions: Motions, steps: int) -> run_config.RunConfig:
     """Returns the defaults of a training.
@@ -157,7 +157,7 @@ class Start:
 
   def encode(
     self, motions: Motions
-  ) -> tuple[encoder_training.ModeEncoder, mode_set_lib.ModeSet]:
+  ) -> tuple[mode_encoder.ModeEncoder, mode_set_lib.ModeSet]:
     """Returns an encoder of the policy's modes too, and the modes' latents.
 
     Raises:
@@ -190,7 +190,7 @@ def load(name: str, encoder: str | None = None) -> Start:
       'another: begin with a policy that has latents.'
     )
   folder = pathlib.Path(encoder) if encoder else find_encoder(name)
-  return Start(name, policy, encoder_training.load(folder))
+  return Start(name, policy, mode_encoder.load(folder))
 
 
 def find_encoder(name: str) -> pathlib.Path:
@@ -212,7 +212,7 @@ def find_encoder(name: str) -> pathlib.Path:
   ):
     folders = [resources.path('pretrained', name)]
   for folder in folders:
-    if (folder / encoder_training.CONFIG_FILE).is_file():
+    if (folder / mode_encoder.CONFIG_FILE).is_file():
       return folder
   raise ValueError(
     f'{name} has no mode encoder beside it: name the folder of the one that it '

@@ -14,6 +14,7 @@ from absl.testing import parameterized
 
 from dmc_multimode.bin import train_encoder
 from dmc_multimode.modes import library
+from dmc_multimode.modes.encoder import mode_encoder
 from dmc_multimode.modes.encoder import training as encoder_training
 
 _MODE = """\
@@ -50,7 +51,7 @@ class TrainEncoderTest(parameterized.TestCase):
       f'--out={folder / "out"}',
     )
     self.assertEqual(done.returncode, 0, done.stderr)
-    book = encoder_training.load(folder / 'out').codebook()
+    book = mode_encoder.load(folder / 'out').codebook()
     self.assertEqual(book.names, ('walk_forward', 'wait'))
     for name in ('encoder.safetensors', 'encoder.json', 'encoding.png'):
       self.assertIn(f'wrote {folder / "out" / name}', done.stdout)
@@ -86,7 +87,7 @@ class TrainEncoderTest(parameterized.TestCase):
     self.assertLen(done.stderr.splitlines(), 1)
 
   def test_tables_and_figure(self) -> None:
-    config = encoder_training.EncoderConfig(max_rmse=0.5, min_separation=0.1)
+    config = mode_encoder.EncoderConfig(max_rmse=0.5, min_separation=0.1)
     trained = encoder_training.train(library.resolve('pi2'), config)
     text = train_encoder.tables(trained)
     for name, error in trained.rmse().items():

@@ -7,6 +7,7 @@ from dmc_multimode import pretrained
 from dmc_multimode.agents.ppo import networks
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set
+from dmc_multimode.modes.encoder import mode_encoder
 from dmc_multimode.modes.encoder import training as encoder_training
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import observations
@@ -34,7 +35,7 @@ def save_with_encoder(
   """Writes and returns one with latents; the encoder is as untrained."""
   encoder = encoder_training.train(
     library.resolve(modes),
-    encoder_training.EncoderConfig(hidden=4, max_rmse=9.0, min_separation=0.0),
+    mode_encoder.EncoderConfig(hidden=4, max_rmse=9.0, min_separation=0.0),
   )
   encoder.save(folder)
   book = encoder.codebook()

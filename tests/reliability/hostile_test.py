@@ -27,6 +27,7 @@ from dmc_multimode.modes import codebook
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set
+from dmc_multimode.modes.encoder import mode_encoder
 from dmc_multimode.modes.encoder import training as encoder_training
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.pretrained import policy as policy_lib
@@ -89,7 +90,7 @@ def _run(folder: pathlib.Path) -> None:
 
 
 def _encoder(folder: pathlib.Path) -> None:
-  rough = encoder_training.EncoderConfig(
+  rough = mode_encoder.EncoderConfig(
     max_rmse=10.0, min_separation=0.0, hidden=4
   )
   encoder_training.train(library.resolve(_MODES), rough).save(folder)
@@ -123,8 +124,8 @@ _READERS: list[tuple[str, _Write, _Read]] = [
   ),
   (checkpointing.PREVIOUS, _checkpoint, _read_previous),
   (setup.CONFIG_FILE, _run, setup.load_run),
-  (encoder_training.WEIGHTS_FILE, _encoder, encoder_training.load),
-  (encoder_training.CONFIG_FILE, _encoder, encoder_training.load),
+  (mode_encoder.WEIGHTS_FILE, _encoder, mode_encoder.load),
+  (mode_encoder.CONFIG_FILE, _encoder, mode_encoder.load),
   (codebook.FILE, _codebook, lambda f: codebook.load(f / codebook.FILE)),
   (
     'modes.yaml',
@@ -292,8 +293,8 @@ def _sparse(path: pathlib.Path, size: int) -> None:
 @pytest.mark.parametrize(
   ('name', 'write', 'read', 'size'),
   [
-    (encoder_training.CONFIG_FILE, _encoder, encoder_training.load, 65 << 20),
-    (encoder_training.WEIGHTS_FILE, _encoder, encoder_training.load, 65 << 20),
+    (mode_encoder.CONFIG_FILE, _encoder, mode_encoder.load, 65 << 20),
+    (mode_encoder.WEIGHTS_FILE, _encoder, mode_encoder.load, 65 << 20),
     (
       codebook.FILE,
       _codebook,
@@ -360,16 +361,16 @@ def test_weights_of_another_type(
 ) -> None:
   """Cast where that can be done; refused otherwise, and never a traceback."""
   _encoder(tmp_path)
-  path = tmp_path / encoder_training.WEIGHTS_FILE
+  path = tmp_path / mode_encoder.WEIGHTS_FILE
   weights = safetensors_torch.load(path.read_bytes())
   other = {key: value.to(kind) for key, value in weights.items()}
   content = safetensors_torch.save(other)
   path.write_bytes(content)
-  described = json.loads((tmp_path / encoder_training.CONFIG_FILE).read_text())
-  described['weights_sha256'] = encoder_training.digest(content)
-  (tmp_path / encoder_training.CONFIG_FILE).write_text(json.dumps(described))
+  described = json.loads((tmp_path / mode_encoder.CONFIG_FILE).read_text())
+  described['weights_sha256'] = mode_encoder.digest(content)
+  (tmp_path / mode_encoder.CONFIG_FILE).write_text(json.dumps(described))
   with pytest.raises(ValueError, match='do not fit'):
-    encoder_training.load(tmp_path)
+    mode_encoder.load(tmp_path)
 
 
 # Plans.

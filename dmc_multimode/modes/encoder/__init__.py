@@ -1,0 +1,19 @@
+"""The mode encoder: one latent for a whole reference motion (Sec. II-B)."""
+
+from dmc_multimode.modes.encoder.extension import extend
+from dmc_multimode.modes.encoder.mode_encoder import EncoderConfig
+from dmc_multimode.modes.encoder.mode_encoder import load
+from dmc_multimode.modes.encoder.mode_encoder import ModeEncoder
+from dmc_multimode.modes.encoder.training import ConvergenceError
+from dmc_multimode.modes.encoder.training import needs_contacts
+from dmc_multimode.modes.encoder.training import train
+
+__all__ = (
+  'ConvergenceError',
+  'EncoderConfig',
+  'ModeEncoder',
+  'extend',
+  'load',
+  'needs_contacts',
+  'train',
+)

@@ -18,6 +18,7 @@ from torch import nn
 from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import motion as motion_lib
+from dmc_multimode.modes.encoder import mode_encoder
 from dmc_multimode.modes.encoder import network as autoencoder
 from dmc_multimode.modes.encoder import training as encoder_training
 
@@ -28,10 +29,10 @@ _ANCHOR_WEIGHT = 10.0  # Of the distance of old modes from where they belong.
 
 
 def extend(
-  base: encoder_training.ModeEncoder,
+  base: mode_encoder.ModeEncoder,
   old: mode_set_lib.ModeSet,
   new: Sequence[motion_lib.ReferenceMotion],
-) -> tuple[encoder_training.ModeEncoder, mode_set_lib.ModeSet]:
+) -> tuple[mode_encoder.ModeEncoder, mode_set_lib.ModeSet]:
   """Returns an encoder that knows new modes too, and all modes with latents.
 
   The latents of the old modes are those given, to the bit. The tolerances are
@@ -60,7 +61,7 @@ def extend(
   network = base.network
   if new:
     network = _Extension(base, motions, old.latents).train()
-  trained = encoder_training.ModeEncoder(base.config, motions, network)
+  trained = mode_encoder.ModeEncoder(base.config, motions, network)
   if not new:
     return trained, old
   latents = np.concatenate([old.latents, trained.encode(new)])
@@ -70,7 +71,7 @@ def extend(
 
 
 def _check_base(
-  base: encoder_training.ModeEncoder, old: mode_set_lib.ModeSet
+  base: mode_encoder.ModeEncoder, old: mode_set_lib.ModeSet
 ) -> None:
   """Raises ValueError unless `base` gives the old modes their latents."""
   found = base.encode(old.motions)
@@ -92,7 +93,7 @@ class _Standing:
   separation: float
   shift: float
 
-  def suffices(self, config: encoder_training.EncoderConfig) -> bool:
+  def suffices(self, config: mode_encoder.EncoderConfig) -> bool:
     """Whether the tolerances are met, on other machines too."""
     return (
       self.rmse < encoder_training.SAFETY * config.max_rmse
@@ -106,7 +107,7 @@ class _Extension:
 
   def __init__(
     self,
-    base: encoder_training.ModeEncoder,
+    base: mode_encoder.ModeEncoder,
     motions: Sequence[motion_lib.ReferenceMotion],
     held: np.ndarray,
   ):

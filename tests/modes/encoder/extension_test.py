@@ -11,14 +11,13 @@ from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes.encoder import extension
+from dmc_multimode.modes.encoder import mode_encoder
 from dmc_multimode.modes.encoder import network
 from dmc_multimode.modes.encoder import training as encoder_training
 
 _OLD = library.resolve('idle,walk_forward')
 # Reached within some passes.
-_ROUGH = encoder_training.EncoderConfig(
-  max_rmse=0.1, hidden=8, learning_rate=0.03
-)
+_ROUGH = mode_encoder.EncoderConfig(max_rmse=0.1, hidden=8, learning_rate=0.03)
 
 
 def _bob(name: str = 'bob', depth: float = 0.5) -> motion_lib.ReferenceMotion:
@@ -33,25 +32,25 @@ def _bob(name: str = 'bob', depth: float = 0.5) -> motion_lib.ReferenceMotion:
   )
 
 
-def _held(base: encoder_training.ModeEncoder) -> mode_set_lib.ModeSet:
+def _held(base: mode_encoder.ModeEncoder) -> mode_set_lib.ModeSet:
   return mode_set_lib.ModeSet(_OLD, base.codebook())
 
 
 @pytest.fixture(scope='module')
-def base() -> encoder_training.ModeEncoder:
+def base() -> mode_encoder.ModeEncoder:
   return encoder_training.train(_OLD, _ROUGH)
 
 
 @pytest.fixture(scope='module')
 def extended(
-  base: encoder_training.ModeEncoder,
-) -> tuple[encoder_training.ModeEncoder, mode_set_lib.ModeSet]:
+  base: mode_encoder.ModeEncoder,
+) -> tuple[mode_encoder.ModeEncoder, mode_set_lib.ModeSet]:
   return extension.extend(base, _held(base), [_bob()])
 
 
 def test_old_latents_stay_to_the_bit(
-  base: encoder_training.ModeEncoder,
-  extended: tuple[encoder_training.ModeEncoder, mode_set_lib.ModeSet],
+  base: mode_encoder.ModeEncoder,
+  extended: tuple[mode_encoder.ModeEncoder, mode_set_lib.ModeSet],
 ) -> None:
   trained, modes = extended
   assert modes.names == ('idle', 'walk_forward', 'bob')
@@ -63,8 +62,8 @@ def test_old_latents_stay_to_the_bit(
 
 
 def test_new_mode_is_told_apart_and_reconstructed(
-  base: encoder_training.ModeEncoder,
-  extended: tuple[encoder_training.ModeEncoder, mode_set_lib.ModeSet],
+  base: mode_encoder.ModeEncoder,
+  extended: tuple[mode_encoder.ModeEncoder, mode_set_lib.ModeSet],
 ) -> None:
   trained, modes = extended
   assert modes.codebook.separation() > _ROUGH.min_separation
@@ -76,7 +75,7 @@ def test_new_mode_is_told_apart_and_reconstructed(
   assert np.sqrt(squares.mean()) > _ROUGH.max_rmse
 
 
-def test_base_stays_as_it_is(base: encoder_training.ModeEncoder) -> None:
+def test_base_stays_as_it_is(base: mode_encoder.ModeEncoder) -> None:
   before = {k: v.clone() for k, v in base.network.state_dict().items()}
   state = torch.get_rng_state()
   extension.extend(base, _held(base), [_bob()])
@@ -87,7 +86,7 @@ def test_base_stays_as_it_is(base: encoder_training.ModeEncoder) -> None:
 
 
 def test_extended_again(
-  extended: tuple[encoder_training.ModeEncoder, mode_set_lib.ModeSet],
+  extended: tuple[mode_encoder.ModeEncoder, mode_set_lib.ModeSet],
 ) -> None:
   """Of an encoder that is off a little, and in another order."""
   trained, modes = extended
@@ -100,7 +99,7 @@ def test_extended_again(
 
 
 def test_nothing_new_is_nothing_to_train(
-  base: encoder_training.ModeEncoder,
+  base: mode_encoder.ModeEncoder,
 ) -> None:
   trained, modes = extension.extend(base, _held(base).subset(['idle']), [])
   assert trained.network is base.network
@@ -108,7 +107,7 @@ def test_nothing_new_is_nothing_to_train(
   np.testing.assert_array_equal(modes.latents, base.codebook().latents[:1])
 
 
-def test_encoder_of_other_latents(base: encoder_training.ModeEncoder) -> None:
+def test_encoder_of_other_latents(base: mode_encoder.ModeEncoder) -> None:
   book = base.codebook()
   other = codebook_lib.Codebook(book.names, book.latents + 0.05)
   longer = codebook_lib.Codebook(book.names, np.eye(2, 5))
@@ -118,7 +117,7 @@ def test_encoder_of_other_latents(base: encoder_training.ModeEncoder) -> None:
 
 
 def test_motion_that_is_known_by_another_name(
-  base: encoder_training.ModeEncoder,
+  base: mode_encoder.ModeEncoder,
 ) -> None:
   twin = dataclasses.replace(_OLD[0], name='stay', mirror='stay')
   with pytest.raises(ValueError, match="'idle' and 'stay' .* from scratch"):
@@ -126,7 +125,7 @@ def test_motion_that_is_known_by_another_name(
 
 
 def test_what_is_not_learned_in_time(
-  base: encoder_training.ModeEncoder,
+  base: mode_encoder.ModeEncoder,
 ) -> None:
   hasty = dataclasses.replace(
     base, config=dataclasses.replace(base.config, max_epochs=1)

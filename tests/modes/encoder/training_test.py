@@ -15,22 +15,23 @@ import torch
 
 from dmc_multimode.modes import library
 from dmc_multimode.modes import motion as motion_lib
+from dmc_multimode.modes.encoder import mode_encoder
 from dmc_multimode.modes.encoder import network
 from dmc_multimode.modes.encoder import training as encoder_training
 
 # Reached within a few passes: for what does not depend on the tolerances.
-_ROUGH = encoder_training.EncoderConfig(max_rmse=0.5, min_separation=0.1)
+_ROUGH = mode_encoder.EncoderConfig(max_rmse=0.5, min_separation=0.1)
 
 
 @functools.cache
-def _rough() -> encoder_training.ModeEncoder:
+def _rough() -> mode_encoder.ModeEncoder:
   return encoder_training.train(library.resolve('pi2'), _ROUGH)
 
 
 @functools.cache
-def _converged() -> encoder_training.ModeEncoder:
+def _converged() -> mode_encoder.ModeEncoder:
   return encoder_training.train(
-    library.resolve('pi2'), encoder_training.EncoderConfig()
+    library.resolve('pi2'), mode_encoder.EncoderConfig()
   )
 
 
@@ -116,7 +117,7 @@ class ConvergenceTest(parameterized.TestCase):
     with self.assertRaisesRegex(
       ValueError, "'walk_forward' and 'hop_forward'.*use_contacts"
     ):
-      encoder_training.train(motions, encoder_training.EncoderConfig())
+      encoder_training.train(motions, mode_encoder.EncoderConfig())
     config = dataclasses.replace(_ROUGH, use_contacts=True)
     trained = encoder_training.train(motions, config)
     self.assertGreater(trained.codebook().separation(), 0.1)
@@ -124,7 +125,7 @@ class ConvergenceTest(parameterized.TestCase):
   def test_aliased_latents_do_not_pass(self) -> None:
     # Precise enough from the first pass on; only the separation is not.
     seen: list[encoder_training.Progress] = []
-    config = encoder_training.EncoderConfig(max_rmse=10.0, min_separation=0.55)
+    config = mode_encoder.EncoderConfig(max_rmse=10.0, min_separation=0.55)
     trained = encoder_training.train(
       library.resolve('pi1'), config, seen.append
     )
@@ -134,7 +135,7 @@ class ConvergenceTest(parameterized.TestCase):
 
   def test_inaccurate_modes_do_not_pass(self) -> None:
     seen: list[encoder_training.Progress] = []
-    config = encoder_training.EncoderConfig(max_epochs=3, min_separation=0.0)
+    config = mode_encoder.EncoderConfig(max_epochs=3, min_separation=0.0)
     with self.assertRaisesRegex(
       encoder_training.ConvergenceError, '3 epochs: worst RMSE 0.[0-9]+ m.*seed'
     ) as caught:
@@ -202,7 +203,7 @@ class ModeEncoderTest(parameterized.TestCase):
     idle = library.modes()['idle']
     for motion, message in (
       (dataclasses.replace(idle, name='a:b', mirror=''), 'letters'),
-      (dataclasses.replace(idle, duration=1e9), 'from 0 to 60'),
+      (dataclasses.replace(idle, duration=1e9), 'duration .* 60'),
     ):
       with self.assertRaisesRegex(ValueError, message):
         encoder_training.train([motion], _ROUGH)
@@ -222,7 +223,7 @@ class ModeEncoderTest(parameterized.TestCase):
   )
   def test_config_rejects(self, changes: dict[str, Any], field: str) -> None:
     with self.assertRaisesRegex(ValueError, field):
-      encoder_training.EncoderConfig(**changes)
+      mode_encoder.EncoderConfig(**changes)
 
 
 def _edit(path: pathlib.Path, change: Callable[[dict[str, Any]], Any]) -> None:
@@ -239,19 +240,19 @@ class FilesTest(parameterized.TestCase):
     self.addCleanup(temporary.cleanup)
     self.folder = pathlib.Path(temporary.name)
     _rough().save(self.folder)
-    self.config = self.folder / encoder_training.CONFIG_FILE
-    self.weights = self.folder / encoder_training.WEIGHTS_FILE
+    self.config = self.folder / mode_encoder.CONFIG_FILE
+    self.weights = self.folder / mode_encoder.WEIGHTS_FILE
 
   def fails(self, path: pathlib.Path, message: str) -> None:
     with self.assertRaisesRegex(ValueError, message) as caught:
-      encoder_training.load(self.folder)
+      mode_encoder.load(self.folder)
     text = str(caught.exception)
     self.assertStartsWith(text, f'{path}: ')
     self.assertIn('train_encoder', text)
     self.assertNotIn('\n', text)
 
   def test_round_trip(self) -> None:
-    loaded, wanted = encoder_training.load(self.folder), _rough()
+    loaded, wanted = mode_encoder.load(self.folder), _rough()
     self.assertEqual(loaded.config, wanted.config)
     np.testing.assert_array_equal(
       loaded.codebook().latents, wanted.codebook().latents
@@ -265,10 +266,10 @@ class FilesTest(parameterized.TestCase):
 
   def test_saves_the_same_bytes_and_nothing_else(self) -> None:
     other = self.folder / 'deep' / 'er'
-    encoder_training.load(self.folder).save(other)
+    mode_encoder.load(self.folder).save(other)
     names = sorted(path.name for path in other.iterdir())
     self.assertEqual(
-      names, [encoder_training.CONFIG_FILE, encoder_training.WEIGHTS_FILE]
+      names, [mode_encoder.CONFIG_FILE, mode_encoder.WEIGHTS_FILE]
     )
     for name in names:
       self.assertEqual(
@@ -277,7 +278,7 @@ class FilesTest(parameterized.TestCase):
 
   def test_loading_leaves_the_generator_alone(self) -> None:
     state = torch.get_rng_state()
-    encoder_training.load(self.folder)
+    mode_encoder.load(self.folder)
     self.assertTrue(torch.equal(state, torch.get_rng_state()))
 
   def test_missing(self) -> None:
@@ -302,9 +303,7 @@ class FilesTest(parameterized.TestCase):
     config = dataclasses.replace(_ROUGH, seed=1)
     other = encoder_training.train(library.resolve('pi2'), config)
     other.save(self.folder / 'other')
-    (self.folder / 'other' / encoder_training.WEIGHTS_FILE).replace(
-      self.weights
-    )
+    (self.folder / 'other' / mode_encoder.WEIGHTS_FILE).replace(self.weights)
     self.fails(self.weights, 'another encoder')
 
   @parameterized.parameters(
@@ -341,7 +340,7 @@ class FilesTest(parameterized.TestCase):
       state['latent_mean'][0] = float('nan')
       content = safetensors.torch.save(state)
     self.weights.write_bytes(content)
-    digest = encoder_training.digest(content)
+    digest = mode_encoder.digest(content)
     _edit(self.config, lambda data: data.update(weights_sha256=digest))
     self.fails(self.weights, message)
 
