@@ -757,8 +757,8 @@ class DivergenceTest(parameterized.TestCase):
 
 def _privileged_parts(observation: np.ndarray) -> dict[str, np.ndarray]:
   """Cuts what follows the policy's observation into its parts."""
-  latents = (observation.shape[1] - 42) // 2
-  parts, start = {}, 33 + latents
+  latents = len(library.resolve('pi2'))
+  parts, start = {}, observations.size(latents)
   layout = observations.layout(latents, privileged=True)
   for name, size in layout[len(observations.POLICY_TERMS) :]:
     parts[name] = observation[:, start : start + size]
@@ -771,9 +771,13 @@ class PrivilegedTest(parameterized.TestCase):
     worlds = batched_env.BatchedImitation(
       _transitions(), 3, 0, 1, privileged=True
     )
-    self.assertEqual(worlds.privileged_size, 13)
-    self.assertEqual(worlds.observation_spec().shape, (50,))
-    self.assertEqual(worlds.reset().shape, (3, 50))
+    latent_dim = worlds.mode_set.latent_dim
+    size = observations.size(latent_dim, privileged=True)
+    self.assertEqual(
+      worlds.privileged_size, size - observations.size(latent_dim)
+    )
+    self.assertEqual(worlds.observation_spec().shape, (size,))
+    self.assertEqual(worlds.reset().shape, (3, size))
 
   def test_policy_sees_what_it_saw_without(self) -> None:
     plain, more = (
