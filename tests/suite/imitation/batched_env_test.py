@@ -558,7 +558,7 @@ class SchedulesTest(parameterized.TestCase):
     _assert_same(*rollouts)
 
   def test_no_obstacle_in_evaluations(self) -> None:
-    evaluated = _replace(_ENDING, events=events.NONE)
+    evaluated = dataclasses.replace(_ENDING, events=events.NONE)
     worlds = batched_env.BatchedImitation(_transitions(evaluated), 16, 0, 1)
     worlds.reset()
     for _ in range(4):
@@ -597,7 +597,9 @@ class SchedulesTest(parameterized.TestCase):
 
   def test_pushes_begin(self) -> None:
     """Of all robots in each step here: the interval is a control step."""
-    pushed = self._worlds(push_speed=0.5, push_interval=0.03, push_start=24)
+    pushed = self._worlds(
+      push_speed=schedules.Schedule(0.0, 0.5, 24, 24), push_interval=0.03
+    )
     plain = self._worlds()
     for _ in range(2):  # After 8 and 16 control steps of all worlds.
       self._step(pushed)
@@ -757,12 +759,13 @@ class DivergenceTest(parameterized.TestCase):
 
 def _privileged_parts(observation: np.ndarray) -> dict[str, np.ndarray]:
   """Cuts what follows the policy's observation into its parts."""
-  latents = len(library.resolve('pi2'))
+  size = lambda latents: observations.size(latents, privileged=True)
+  latents = next(n for n in range(99) if size(n) == observation.shape[1])
   parts, start = {}, observations.size(latents)
   layout = observations.layout(latents, privileged=True)
-  for name, size in layout[len(observations.POLICY_TERMS) :]:
-    parts[name] = observation[:, start : start + size]
-    start += size
+  for name, length in layout[len(observations.POLICY_TERMS) :]:
+    parts[name] = observation[:, start : start + length]
+    start += length
   return parts
 
 

@@ -467,7 +467,7 @@ class ObstacleTest(parameterized.TestCase):
     self.assertEqual(random_state.uniform(), before.uniform())
 
   @parameterized.parameters(
-    {'obstacles': 0.0}, {'obstacles': 1.0, 'obstacles_start': 1}
+    {'obstacles': 0.0}, {'obstacles': schedules.Schedule(0.0, 1.0, 1, 1)}
   )
   def test_without_obstacles_only_edges_are_drawn(self, **changes: Any) -> None:
     """The stream of random numbers by hand, as it was before there were any."""
