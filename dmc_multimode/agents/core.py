@@ -155,14 +155,8 @@ class TrainingEnvironment(BatchedEnvironment, Protocol):
   def steps(self) -> int:
     """Environment steps so far, summed over all worlds of all ranks."""
 
-  def learn(
-    self,
-    initial: np.ndarray,
-    final: np.ndarray,
-    returns: np.ndarray,
-    survived: np.ndarray,
-  ) -> None:
-    """Takes the outcome of finished episodes, its own and others', [N] each.
+  def learn(self, outcomes: Outcomes, /) -> None:
+    """Learns from finished episodes, its own and others'.
 
     An environment that trains alone learns by itself, and is not told.
     """

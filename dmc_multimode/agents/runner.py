@@ -144,12 +144,7 @@ class TrainingLoop:
     self._diverged.update(int(diverged.sum()), self.steps - steps)
     self._returns.update(episodes)
     if self._communicator.size > 1:
-      self._environment.learn(
-        episodes.initial,
-        episodes.final,
-        episodes.returns,
-        episodes.causes == 0,
-      )
+      self._environment.learn(episodes)
 
   def run(
     self,

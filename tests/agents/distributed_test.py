@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import torch
 
+from dmc_multimode.agents import core
 from dmc_multimode.agents import distributed
 from dmc_multimode.agents import runner
 from dmc_multimode.agents.ppo import builder
@@ -51,8 +52,14 @@ class _Environment(toy.TargetEnvironment):
     found.results.initial[:] = found.results.final[:] = self._rank
     return found
 
-  def learn(self, *outcome: np.ndarray) -> None:
-    self.learned.append(np.stack(outcome))
+  def learn(self, outcomes: core.Outcomes) -> None:
+    columns = (
+      outcomes.initial,
+      outcomes.final,
+      outcomes.returns,
+      outcomes.causes == 0,
+    )
+    self.learned.append(np.stack(columns))
 
   def state(self) -> dict[str, np.ndarray]:
     words = self._random_state.get_state(legacy=False)['state']

@@ -80,23 +80,17 @@ class TargetEnvironment:
     results = Results(every, zeros.copy(), zeros, reward, zeros + 1, zeros)
     return TimeStep(reward, ones, ones > 0, self.reset(), seen, results)
 
-  def learn(
-    self,
-    initial: np.ndarray,
-    final: np.ndarray,
-    returns: np.ndarray,
-    survived: np.ndarray,
-  ) -> None:
+  def learn(self, outcomes: core.Outcomes) -> None:
     pass
 
   def state(self) -> dict[str, np.ndarray]:
     return {
       'observation': self._observation.copy(),
-      'total_steps': np.array(self.steps),
+      'steps': np.array(self.steps),
     }
 
   def restore(self, state: Mapping[str, np.ndarray]) -> np.ndarray:
-    self.steps = int(state['total_steps'])
+    self.steps = int(state['steps'])
     self._observation = state['observation'].copy()
     return self._observation
 

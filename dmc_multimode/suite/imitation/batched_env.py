@@ -15,32 +15,13 @@ from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.suite.imitation import composer_task
 from dmc_multimode.suite.imitation import core as imitation_core
+from dmc_multimode.suite.imitation import episodes as episodes_lib
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import mujoco_worlds
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.suite.imitation import symmetry as task_symmetry
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.walkers import mini_biped
-
-
-class EpisodeResults(NamedTuple):
-  """Episodes that ended in this step, N of them.
-
-  Attributes:
-    worlds: where, [N].
-    initial, final: indices of their first and last modes, [N].
-    returns: normalised returns, sum of rewards over horizon x sum of w, [N].
-    lengths: control steps, [N].
-    causes: why they ended, index into `terminations.CAUSES`; 0 for the time
-      limit, [N].
-  """
-
-  worlds: np.ndarray
-  initial: np.ndarray
-  final: np.ndarray
-  returns: np.ndarray
-  lengths: np.ndarray
-  causes: np.ndarray
 
 
 class BatchedTimeStep(NamedTuple):
@@ -63,7 +44,7 @@ class BatchedTimeStep(NamedTuple):
   last: np.ndarray
   observation: np.ndarray
   final_observation: np.ndarray
-  results: EpisodeResults
+  results: episodes_lib.EpisodeBatch
 
 
 class BatchedImitation:
@@ -73,10 +54,11 @@ class BatchedImitation:
     physics: the engine's worlds.
     qpos, qvel: its generalised positions [B, 17] and velocities [B, 16].
     core: the task's worlds.
+    steps: environment steps so far, summed over all worlds of all replicas.
     moving: whether each world's robot moves, [B]; one that is held still is
       where it is, and costs no time, while the clocks run on. No `state` holds
       it.
-    invalid_cause: see `EpisodeResults.causes`, of a world that diverged.
+    invalid_cause: see `EpisodeBatch.causes`, of a world that diverged.
   """
 
   invalid_cause = terminations.NON_FINITE
@@ -138,7 +120,7 @@ class BatchedImitation:
     self._final = np.zeros(num_worlds, dtype=np.int64)
     self._ended = np.zeros(num_worlds, dtype=bool)
     self.moving = np.ones(num_worlds, dtype=bool)
-    self._total_steps = 0
+    self.steps = 0
     self.assistance = events.TakeoffAssistance(
       self.config.events.assistance_steps, self.core.tracker.bank.takeoffs > 0
     )
@@ -159,11 +141,6 @@ class BatchedImitation:
   def mirror_image(self) -> task_symmetry.MirrorImage:
     """Returns how to exchange left and right; see `symmetry.mirror_image`."""
     return task_symmetry.mirror_image(self.mode_set, self.privileged_size > 0)
-
-  @property
-  def steps(self) -> int:
-    """Environment steps so far, summed over all worlds of all replicas."""
-    return self._total_steps
 
   @property
   def control_timestep(self) -> float:
@@ -194,9 +171,8 @@ class BatchedImitation:
       actions, bounds, self.moving, self.config.substeps
     )
     steps = self.num_worlds * self._replicas
-    self._total_steps += steps
+    self.steps += steps
     self.assistance.fade(steps)
-    self.episodes.advance(steps)
     self._follow_schedules()
     outcome = self.core.advance(self.qpos, self.qvel, self.feet_contact())
     if len(diverged):
@@ -279,13 +255,13 @@ class BatchedImitation:
 
   def _follow_schedules(self) -> None:
     """Sets what changes along a training: a limit, a share of obstacles."""
-    scheduled, core, steps = self.config.events, self.core, self._total_steps
+    scheduled, core, steps = self.config.events, self.core, self.steps
     core.distance_slack = scheduled.distance_slack.at(steps)
     core.terrain_events.obstacle_share = scheduled.obstacles.at(steps)
 
   def _bonus(self, outcome: imitation_core.Outcome) -> np.ndarray | float:
     """Returns what a training pays besides Eq. 3, [B]."""
-    weight = self.config.events.contact_bonus.at(self._total_steps)
+    weight = self.config.events.contact_bonus.at(self.steps)
     if not weight:
       return 0.0
     agreement = self.core.contact_schedule_agreement(
@@ -307,7 +283,7 @@ class BatchedImitation:
     config, scheduled = self.config, self.config.events
     events.push(
       self.qvel,
-      scheduled.push_speed.at(self._total_steps),
+      scheduled.push_speed.at(self.steps),
       config.control_timestep / scheduled.push_interval,
       self._random_state,
     )
@@ -320,7 +296,7 @@ class BatchedImitation:
     last = terminated | (self.core.tracker.state.step >= self.config.horizon)
     last &= ~self._ended
     ids = np.flatnonzero(last)
-    results = self._results(ids, outcome.cause)
+    results = self._finished(ids, outcome.cause)
     # A learner multiplies what it makes of this by a discount of 0 where the
     # state diverged, which would still be NaN.
     final_observation = np.nan_to_num(observation[ids], posinf=0, neginf=0)
@@ -340,9 +316,12 @@ class BatchedImitation:
       results,
     )
 
-  def _results(self, ids: np.ndarray, causes: np.ndarray) -> EpisodeResults:
+  def _finished(
+    self, ids: np.ndarray, causes: np.ndarray
+  ) -> episodes_lib.EpisodeBatch:
+    """Returns the episodes of the worlds `ids`, after learning from them."""
     highest = self.config.gains.highest * self.config.horizon
-    results = EpisodeResults(
+    batch = episodes_lib.EpisodeBatch(
       ids,
       self._initial[ids],
       self._final[ids],
@@ -351,28 +330,14 @@ class BatchedImitation:
       causes[ids],
     )
     if self._replicas == 1:
-      self.learn(
-        results.initial, results.final, results.returns, results.causes == 0
-      )
-    return results
+      self.learn(batch)
+    return batch
 
-  def learn(
-    self,
-    initial: np.ndarray,
-    final: np.ndarray,
-    returns: np.ndarray,
-    survived: np.ndarray,
-  ) -> None:
-    """Takes the outcome of finished episodes, one after the other.
-
-    Args:
-      initial, final: indices of their first and last modes, [N].
-      returns: normalised returns, [N].
-      survived: whether they ran to the time limit, [N].
-    """
-    if len(initial):
-      self.episodes.update(initial, final, returns)
-      self.assistance.update(final, survived)
+  def learn(self, outcomes: episodes_lib.Outcomes) -> None:
+    """Learns from finished episodes, one after the other."""
+    if len(outcomes.initial):
+      self.episodes.update(outcomes)
+      self.assistance.update(outcomes.final, outcomes.causes == 0)
 
   def _begin(self, ids: np.ndarray) -> None:
     """Resets the worlds `ids` to new episodes."""
@@ -382,7 +347,7 @@ class BatchedImitation:
     terrain = terrain_lib.Terrain(
       *(np.concatenate(field) for field in zip(*drawn, strict=True))
     )
-    episodes = self.episodes.sample(ids, self._random_state)
+    episodes = self.episodes.sample(ids, self.steps, self._random_state)
     qpos, qvel = self.core.start(ids, episodes, terrain, self._random_state)
     self.physics.reset(ids, qpos, qvel)
     self._move_boxes(ids)
@@ -435,7 +400,7 @@ class BatchedImitation:
     state: dict[str, Any] = {
       name: field.copy() for name, field in self._fields().items()
     }
-    state['total_steps'] = np.array(self._total_steps)
+    state['steps'] = np.array(self.steps)
     for name, part in self._stateful_parts():
       state |= {f'{name}/{k}': v for k, v in part.state().items()}
     _, keys, position, has_gauss, gauss = self._random_state.get_state()
@@ -461,7 +426,8 @@ class BatchedImitation:
           f'{field.shape}: use the same task.'
         )
       field[:] = state[name]
-    self._total_steps = int(state['total_steps'])
+    # Earlier versions called it so, and the episodes had a counter as well.
+    self.steps = int(state['steps' if 'steps' in state else 'total_steps'])
     for name, part in self._stateful_parts():
       part.restore(_sub(state, f'{name}/'))
     position, has_gauss, gauss = state['random/rest']

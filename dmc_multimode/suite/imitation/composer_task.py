@@ -147,7 +147,7 @@ class Imitation(composer.Task):
     """Draws terrain, schedule and initial state."""
     self._finish_episode()
     terrain = self._arena.generate(random_state)
-    episode = self.episodes.sample(_WORLD, random_state)
+    episode = self.episodes.sample(_WORLD, 0, random_state)
     self._episode = episode
     qpos, qvel = self.core.start(_WORLD, episode, terrain, random_state)
     self._arena.apply(physics, self._standing_terrain())
@@ -161,9 +161,14 @@ class Imitation(composer.Task):
       return
     highest = self.config.gains.highest * self.config.horizon
     self.episodes.update(
-      self._episode.initial,
-      self._episode.final,
-      np.array([self._return / highest]),
+      episodes_lib.EpisodeBatch(
+        _WORLD,
+        self._episode.initial,
+        self._episode.final,
+        np.array([self._return / highest]),
+        self.core.tracker.state.step.copy(),
+        self._outcome.cause,
+      )
     )
     self._episode = None
 

@@ -23,23 +23,64 @@ class Episodes(NamedTuple):
   final: np.ndarray
 
 
+class Outcomes(Protocol):
+  """What is learned from N finished episodes, wherever they were."""
+
+  @property
+  def initial(self) -> np.ndarray:
+    """Indices of their first modes, [N]."""
+
+  @property
+  def final(self) -> np.ndarray:
+    """Indices of their last modes, [N]."""
+
+  @property
+  def returns(self) -> np.ndarray:
+    """Normalised returns, [N]."""
+
+  @property
+  def causes(self) -> np.ndarray:
+    """Why they ended, 0 for the time limit, [N]."""
+
+
+class EpisodeBatch(NamedTuple):
+  """N finished episodes.
+
+  Attributes:
+    worlds: where, [N].
+    initial, final: indices of their first and last modes, [N].
+    returns: normalised returns, sum of rewards over horizon x sum of w, [N].
+    lengths: control steps, [N].
+    causes: why they ended, index into `terminations.CAUSES`; 0 for the time
+      limit, [N].
+  """
+
+  worlds: np.ndarray
+  initial: np.ndarray
+  final: np.ndarray
+  returns: np.ndarray
+  lengths: np.ndarray
+  causes: np.ndarray
+
+
 class EpisodeInitialiser(Protocol):
   """Chooses the episodes and learns from their outcome."""
 
   max_knots: int
 
   def sample(
-    self, ids: np.ndarray, random_state: np.random.RandomState
+    self, ids: np.ndarray, steps: int, random_state: np.random.RandomState
   ) -> Episodes:
-    """Returns the next episodes of the worlds `ids`, [N]."""
+    """Returns the next episodes of the worlds `ids`, [N].
 
-  def update(
-    self, initial: np.ndarray, final: np.ndarray, returns: np.ndarray
-  ) -> None:
-    """Takes the returns of finished episodes, [N] each."""
+    Args:
+      ids: worlds, [N].
+      steps: environment steps so far, summed over all worlds.
+      random_state: source of the draws.
+    """
 
-  def advance(self, steps: int) -> None:
-    """Is told of so many control steps of all worlds together."""
+  def update(self, outcomes: Outcomes) -> None:
+    """Learns from finished episodes, one after the other."""
 
   def probabilities(self) -> dict[str, float]:
     """Returns what it samples how often, for logs; may be empty."""
@@ -48,7 +89,7 @@ class EpisodeInitialiser(Protocol):
     """Returns copies of what `restore` needs."""
 
   def restore(self, state: Mapping[str, np.ndarray]) -> None:
-    """Takes over a `state`."""
+    """Restores a `state`."""
 
 
 class TransitionEpisodes:
@@ -77,15 +118,14 @@ class TransitionEpisodes:
     self._focused = np.array(
       [mode_set.index(name) for name in self._config.focused], dtype=np.int64
     )
-    self._steps = 0
     self.sampler = mode_sampler.ModeSampler(len(mode_set), self._config)
 
   def sample(
-    self, ids: np.ndarray, random_state: np.random.RandomState
+    self, ids: np.ndarray, steps: int, random_state: np.random.RandomState
   ) -> Episodes:
     """See `EpisodeInitialiser`."""
     initial, final = self.sampler.sample(len(ids), random_state)
-    for modes, share in self._preferences():
+    for modes, share in self._preferences(steps):
       if len(modes) and share:
         shape = (2, len(ids))
         swap = random_state.uniform(size=shape) < share
@@ -98,23 +138,17 @@ class TransitionEpisodes:
     )
     return Episodes(schedule, initial, final)
 
-  def _preferences(self) -> tuple[tuple[np.ndarray, float], ...]:
+  def _preferences(self, steps: int) -> tuple[tuple[np.ndarray, float], ...]:
     """Returns modes that are practised more, and how often they replace one."""
     config = self._config
     return (
-      (self._gaits, config.gait_fraction.at(self._steps)),
-      (self._focused, config.focus_at(self._steps)),
+      (self._gaits, config.gait_fraction.at(steps)),
+      (self._focused, config.focus_at(steps)),
     )
 
-  def update(
-    self, initial: np.ndarray, final: np.ndarray, returns: np.ndarray
-  ) -> None:
+  def update(self, outcomes: Outcomes) -> None:
     """See `EpisodeInitialiser`."""
-    self.sampler.update(initial, final, returns)
-
-  def advance(self, steps: int) -> None:
-    """See `EpisodeInitialiser`."""
-    self._steps += steps
+    self.sampler.update(outcomes.initial, outcomes.final, outcomes.returns)
 
   def probabilities(self) -> dict[str, float]:
     """Returns Algorithm 1's p_i by mode and p_f by transition."""
@@ -128,12 +162,11 @@ class TransitionEpisodes:
 
   def state(self) -> dict[str, np.ndarray]:
     """See `EpisodeInitialiser`."""
-    return {**self.sampler.state(), 'steps': np.array(self._steps)}
+    return self.sampler.state()
 
   def restore(self, state: Mapping[str, np.ndarray]) -> None:
     """See `EpisodeInitialiser`."""
     self.sampler.restore(state)
-    self._steps = int(state['steps'])
 
 
 class ScheduledEpisodes:
@@ -145,10 +178,10 @@ class ScheduledEpisodes:
     self.max_knots = schedule.modes.shape[1]
 
   def sample(
-    self, ids: np.ndarray, random_state: np.random.RandomState
+    self, ids: np.ndarray, steps: int, random_state: np.random.RandomState
   ) -> Episodes:
     """See `EpisodeInitialiser`."""
-    del random_state
+    del steps, random_state
     rows = ids if len(self._schedule) > 1 else np.zeros_like(ids)
     schedule = schedule_lib.ModeSchedule(
       self._schedule.modes[rows],
@@ -159,21 +192,16 @@ class ScheduledEpisodes:
     final = schedule.modes[np.arange(len(rows)), last]
     return Episodes(schedule, schedule.modes[:, 0], final)
 
-  def update(
-    self, initial: np.ndarray, final: np.ndarray, returns: np.ndarray
-  ) -> None:
+  def update(self, outcomes: Outcomes) -> None:
     """Learns nothing."""
 
-  def advance(self, steps: int) -> None:
-    """Has no schedule of its own."""
-
   def probabilities(self) -> dict[str, float]:
-    """Samples nothing."""
+    """Returns nothing: nothing is drawn."""
     return {}
 
   def state(self) -> dict[str, np.ndarray]:
-    """Has no state."""
+    """Returns nothing: there is no state."""
     return {}
 
   def restore(self, state: Mapping[str, np.ndarray]) -> None:
-    """Has no state."""
+    """Restores nothing."""

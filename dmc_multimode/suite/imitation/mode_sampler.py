@@ -1,4 +1,17 @@
-"""Which modes an episode practises: Algorithm 1 and its uniform baseline."""
+"""The modes that an episode practises: Algorithm 1 of Krishna and Nguyen.
+
+An episode begins in mode m_i, drawn from p_i, and switches to m_f, drawn from
+p_f(. | m_i). After it, with its normalised return R,
+
+    R_i[m_i]      <- gamma_i R_i[m_i]      + R
+    R_f[m_i, m_f] <- gamma_f R_f[m_i, m_f] + R
+    p_i = RETURNS2PROB(R_i),  p_f(. | m_i) = RETURNS2PROB(R_f[m_i])
+
+    RETURNS2PROB(R):  K <- -R;  K <- K - min K;  K <- K / max K;
+                      K <- K + epsilon;  p <- K / sum K
+
+so that what is done poorly is practised more. The baseline draws uniformly.
+"""
 
 from typing import Annotated, Any, Mapping
 
@@ -102,14 +115,14 @@ class ModeSampler:
 
   @property
   def initial_probabilities(self) -> np.ndarray:
-    """p_i, [n]."""
+    """Probabilities p_i of the initial modes, [n]."""
     if not self._config.adaptive:
       return np.full_like(self.initial_returns, 1 / len(self.initial_returns))
     return returns_to_probabilities(self.initial_returns, self._config.epsilon)
 
   @property
   def final_probabilities(self) -> np.ndarray:
-    """p_f, the row of an initial mode gives its final modes', [n, n]."""
+    """Probabilities p_f, a row of final modes for each initial one, [n, n]."""
     if not self._config.adaptive:
       return np.full_like(self.final_returns, 1 / len(self.initial_returns))
     return returns_to_probabilities(self.final_returns, self._config.epsilon)
@@ -141,7 +154,7 @@ class ModeSampler:
     }
 
   def restore(self, state: Mapping[str, Any]) -> None:
-    """Takes over a `state`; raises ValueError for another number of modes."""
+    """Restores a `state`; raises ValueError for another number of modes."""
     for name in ('initial_returns', 'final_returns'):
       value, mine = np.asarray(state[name]), getattr(self, name)
       if value.shape != mine.shape:
