@@ -3,11 +3,8 @@
 import contextlib
 import csv
 import io
-import os
 import pathlib
 import secrets
-import socket
-import time
 from typing import Any, Iterator, Mapping, Protocol, Sequence
 
 import tqdm
@@ -118,48 +115,32 @@ def _rows_until(path: pathlib.Path, steps: float) -> list[dict[str, str]]:
 
 
 class TensorBoardLogger:
-  """Writes scalars for TensorBoard, at once and in the thread that asks.
-
-  TensorBoard's own writer leaves that to another thread, which prints what goes
-  wrong where nobody can handle it, and loses two minutes with the process.
-  """
+  """Writes scalars for TensorBoard."""
 
   def __init__(self, directory: pathlib.Path, resume_from: int = 0):
     """Opens `directory`; what lies beyond `resume_from` is hidden."""
-    # Imported here: most binaries do not need them.
-    from tensorboard.compat.proto import event_pb2
-    from tensorboard.summary.writer import record_writer
+    # Imported here: most binaries do not need it.
+    from torch.utils import tensorboard
 
-    directory.mkdir(parents=True, exist_ok=True)
-    name = f'{time.time():017.6f}.{socket.gethostname()}.{os.getpid()}'
-    self._path = directory / f'events.out.tfevents.{name}'
-    self._make = event_pb2.Event
-    with _named_errors(self._path):
-      self._file = record_writer.RecordWriter(open(self._path, 'wb'))
-    self._write(file_version='brain.Event:2')
-    if resume_from:
-      self._write(step=resume_from, session_log={'status': 'START'})
+    self._path = directory
+    purge = resume_from + 1 if resume_from else None
+    with _named_errors(directory):
+      self._writer = tensorboard.SummaryWriter(str(directory), purge_step=purge)
 
   def write(self, values: Values) -> None:
     """See `Logger`."""
-    scalars = [
-      {'tag': key, 'simple_value': value}
-      for key, value in values.items()
-      if key != 'steps'
-    ]
-    self._write(step=int(values['steps']), summary={'value': scalars})
+    with _named_errors(self._path):
+      for key, value in values.items():
+        if key != 'steps':
+          self._writer.add_scalar(key, value, int(values['steps']))
+      # Another thread writes: nothing waits for it for two minutes, and what
+      # goes wrong there is raised here.
+      self._writer.flush()
 
   def close(self) -> None:
     """See `Logger`."""
     with _named_errors(self._path):
-      self._file.close()
-
-  def _write(self, **fields: Any) -> None:
-    """Writes an event."""
-    event = self._make(wall_time=time.time(), **fields)
-    with _named_errors(self._path):
-      self._file.write(event.SerializeToString())
-      self._file.flush()
+      self._writer.close()
 
 
 def check_wandb() -> None:

@@ -253,6 +253,8 @@ class TrainingLoop:
       )
       self._returns.restore(learning.part_of(tensors, 'tracker/'))
       self.iterations = int(values['iterations'])
+      if int(values['steps']) != self.steps:
+        raise RuntimeError(f'its worlds have made {self.steps:,} steps.')
       # Older ones lack it.
       self._diverged.restore(int(values.get('diverged', 0)))
     except KeyError as error:

@@ -11,7 +11,6 @@ from typing import Any, Mapping
 
 import pytest
 from tensorboard.backend.event_processing import event_accumulator
-from tensorboard.summary.writer import record_writer
 
 from dmc_multimode.agents import loggers
 
@@ -79,21 +78,24 @@ def test_tensorboard(tmp_path: pathlib.Path) -> None:
 
 def test_tensorboard_of_a_resumed_run(tmp_path: pathlib.Path) -> None:
   _write(loggers.TensorBoardLogger(tmp_path), 10, 20, 30)
-  _write(loggers.TensorBoardLogger(tmp_path, resume_from=21), 25)
+  _write(loggers.TensorBoardLogger(tmp_path, resume_from=20), 25)
   assert _scalars(tmp_path, 'a') == [(10, 1.0), (20, 2.0), (25, 2.5)]
 
 
 @pytest.mark.parametrize('kind', ['csv', 'tensorboard'])
 def test_a_full_disk_is_named(tmp_path: pathlib.Path, kind: str) -> None:
   logger: Any
+  full = open('/dev/full', 'wb')
   if kind == 'csv':
     logger = loggers.CSVLogger(tmp_path / 'metrics.csv')
-    logger._file = open('/dev/full', 'w', encoding='utf-8')
+    logger._file = io.TextIOWrapper(full)
   else:
     logger = loggers.TensorBoardLogger(tmp_path)
-    logger._file = record_writer.RecordWriter(open('/dev/full', 'wb'))
-  with pytest.raises(OSError, match='metrics.csv|tfevents') as error:
+    events = logger._writer.file_writer.event_writer._async_writer
+    events._writer._writer = full
+  with pytest.raises(OSError, match=str(tmp_path)) as error:
     logger.write({'steps': 10, 'a': 1.0})
+    logger.write({'steps': 20, 'a': 1.0})  # It may take until then.
   assert error.value.errno == errno.ENOSPC
 
 

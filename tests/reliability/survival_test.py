@@ -17,6 +17,7 @@ import torch
 from dmc_multimode.agents import checkpointing
 from dmc_multimode.agents import loggers
 from dmc_multimode.agents import runner
+from dmc_multimode.agents import statistics
 from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.experiments import config as run_config
 from dmc_multimode.experiments import setup
@@ -113,7 +114,7 @@ def test_too_many_end_the_run(run: setup.Run) -> None:
 
 def test_as_many_in_more_steps_do_not(run: setup.Run) -> None:
   run.loop.restore(*_copied(run))
-  with mock.patch.object(runner, '_WINDOW', 100):
+  with mock.patch.object(statistics, '_WINDOW', 100):
     for _ in range(3):  # Each window may have one tenth of a world.
       _train(run, 4)
     run.environment.qvel[0, 3] = math.nan
@@ -139,6 +140,8 @@ def test_no_tensor_of_another_shape_is_taken_over(run: setup.Run) -> None:
   for name in ('steps', 'iterations'):
     with pytest.raises(ValueError):
       run.loop.restore(tensors, {**values, name: None})
+  with pytest.raises(ValueError, match='worlds have made'):
+    run.loop.restore(tensors, {**values, 'steps': 1})
   further = {'learner/optimiser/policy/99/exp_avg': torch.zeros(1)}
   with pytest.raises(ValueError, match='damaged'):
     run.loop.restore({**tensors, **further}, values)

@@ -140,27 +140,25 @@ def test_learned_and_fixed_std() -> None:
 
 
 @pytest.mark.parametrize(
-  ('start', 'name', 'expected'),
-  [
-    # The bounds are 0.1 and 0.4 until _STEPS, a quarter of that from 3 _STEPS.
-    (-9.0, 'floor', [0.1, 0.05, 0.025, 0.025]),
-    (9.0, 'ceiling', [0.4, 0.2, 0.1, 0.1]),
-  ],
+  ('initial_std', 'floor', 'start'),
+  # What begins far below is held by the floor, what begins far above by the
+  # ceiling: both are 0.4 at first.
+  [(0.2, 0.4, -9.0), (0.4, 0.1, 9.0)],
 )
 @pytest.mark.parametrize('seen', [0, 1_000_000])
 def test_std_is_bounded_by_the_steps(
-  start: float, name: str, expected: list[float], seen: int
+  initial_std: float, floor: float, start: float, seen: int
 ) -> None:
   """Whatever the network's normaliser has seen in another training."""
   learner = _learner(
-    initial_std=0.4,
-    std_floor=schedule.Schedule(0.1, 0.025, _STEPS, 3 * _STEPS),
+    initial_std=initial_std,
+    std_floor=schedule.Schedule(floor, floor / 4, _STEPS, 3 * _STEPS),
   )
   learner.network.normaliser.count.fill_(seen)
   learner.network.log_std.data.fill_(start)
   rollouts = _rollouts(learner.network)
   found = [learner.step(rollouts, i * _STEPS)['std'] for i in range(4)]
-  assert found == pytest.approx(expected, rel=5e-3), name
+  assert found == pytest.approx([0.4, 0.2, 0.1, 0.1], rel=5e-3)
 
 
 def test_std_bounds_by_hand() -> None:
