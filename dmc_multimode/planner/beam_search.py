@@ -1,11 +1,12 @@
 """Beam search over modes, with the worlds' states saved at the knots."""
 
-import dataclasses
 from typing import Callable, NamedTuple
 
 import numpy as np
+from pydantic import dataclasses as pydantic_dataclasses
 
 from dmc_multimode.planner import problem as problem_lib
+from dmc_multimode.utils import config as config_lib
 
 _CELL = 0.15  # Metres: robots closer than this are in the same place.
 _PHASES = 4  # Parts of a mode that are told apart.
@@ -27,7 +28,7 @@ class Solution(NamedTuple):
   episodes: int
 
 
-@dataclasses.dataclass(frozen=True)
+@pydantic_dataclasses.dataclass(frozen=True, config=config_lib.STRICT)
 class BeamConfig:
   """Parameters of the planner.
 
@@ -37,13 +38,8 @@ class BeamConfig:
       beams of the one before.
   """
 
-  beams: int = 24
-  attempts: int = 3
-
-  def __post_init__(self) -> None:
-    for name in ('beams', 'attempts'):
-      if getattr(self, name) < 1:
-        raise ValueError(f'{name} must be positive, got {getattr(self, name)}.')
+  beams: config_lib.PositiveInt = 24
+  attempts: config_lib.PositiveInt = 3
 
   def escalation(self) -> 'list[BeamConfig]':
     """Returns the attempts, each a single one."""

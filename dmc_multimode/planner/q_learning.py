@@ -5,16 +5,18 @@ What the robot does is no part of the state, so that the values of later knots
 are means over whatever came before them.
 """
 
-import dataclasses
-from typing import Callable
+from typing import Annotated, Callable
 
 import numpy as np
+import pydantic
+from pydantic import dataclasses as pydantic_dataclasses
 
 from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import problem as problem_lib
+from dmc_multimode.utils import config as config_lib
 
 
-@dataclasses.dataclass(frozen=True)
+@pydantic_dataclasses.dataclass(frozen=True, config=config_lib.STRICT)
 class QLearningConfig:
   """Parameters of the planner.
 
@@ -32,32 +34,13 @@ class QLearningConfig:
       knot, and are hardly ever tried by chance where each knot draws anew.
   """
 
-  trials: int = 5
-  episodes: int = 100
-  learning_rate: float = 0.5
-  discount: float = 1.0
-  initial_epsilon: float = 0.5
-  final_epsilon: float = 0.05
-  exploration_time: float = 0.6
-
-  def __post_init__(self) -> None:
-    for name in ('trials', 'episodes'):
-      if getattr(self, name) < 1:
-        raise ValueError(f'{name} must be positive, got {getattr(self, name)}.')
-    if not 0 < self.learning_rate <= 1:
-      raise ValueError(
-        f'learning_rate must be in (0, 1], got {self.learning_rate}.'
-      )
-    if not 0 <= self.exploration_time < np.inf:
-      raise ValueError(
-        'exploration_time must be a number of seconds, not negative, got '
-        f'{self.exploration_time}.'
-      )
-    for name in ('discount', 'initial_epsilon', 'final_epsilon'):
-      if not 0 <= getattr(self, name) <= 1:
-        raise ValueError(
-          f'{name} must be in [0, 1], got {getattr(self, name)}.'
-        )
+  trials: config_lib.PositiveInt = 5
+  episodes: config_lib.PositiveInt = 100
+  learning_rate: Annotated[float, pydantic.Field(gt=0, le=1)] = 0.5
+  discount: config_lib.Share = 1.0
+  initial_epsilon: config_lib.Share = 0.5
+  final_epsilon: config_lib.Share = 0.05
+  exploration_time: config_lib.NonNegative = 0.6
 
   def epsilon(self, episode: int) -> float:
     """Share of random modes in an episode, counted from 0."""

@@ -71,7 +71,8 @@ def test_report(
   assert report['provenance']['steps'] == 12
   # One-hot commands have no encoder.
   assert report['provenance']['encoder_seed'] is None
-  assert report['task']['reference_starts'] == report['task']['edge_noise'] == 0
+  events = report['task']['events']
+  assert events['reference_starts'] == events['edge_noise'] == 0
   for name in (*_MODES, *pairs):
     assert name in done.stdout
   # An untrained policy passes nothing but to stay where it is, if that.

@@ -137,7 +137,6 @@ def test_q_learning_and_sizes(
     (['--arena=gap', '--sizes=width:wide'], 'not NAME:METRES'),
     (['--goal=1,2'], 'not X,Y,Z'),
     (['--seed=-1'], 'seed'),
-    (['--beam_beams=0'], 'beams'),
     (['--replan_every=-1'], 'replan_every must not be negative'),
     (['--push=0.3:1,0.6:x'], "'0.6:x' is no push"),
     (['--push=0.5:1'], 'at 0.5 s is not at a knot'),
