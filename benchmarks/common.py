@@ -1,4 +1,4 @@
-"""What all benchmarks share: a run's flags, the machine, the report."""
+"""Flags of a run, and reports with the machine: what benchmarks share."""
 
 import importlib.metadata
 import json
@@ -29,14 +29,6 @@ def configured(**values: Any) -> run_config.RunConfig:
     for part in _PARTS
   }
   return run_config.RunConfig(**parts, **values)
-
-
-def out_path(value: str | None) -> pathlib.Path | None:
-  """Returns where --out says; raises ValueError if there is no such folder."""
-  out = pathlib.Path(value) if value else None
-  if out is not None and not out.parent.is_dir():
-    raise ValueError(f'--out: there is no folder {out.parent}.')
-  return out
 
 
 def write_report(

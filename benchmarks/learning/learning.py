@@ -35,6 +35,7 @@ from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import events
+from dmc_multimode.utils import files
 
 _MODES = flags.DEFINE_string('modes', 'pi2', 'A mode set, or modes.')
 _NUM_WORLDS = flags.DEFINE_integer(
@@ -278,7 +279,7 @@ def _eval_steps() -> list[int]:
 def main(argv: Sequence[str]) -> None:
   """Measures, prints, writes."""
   del argv
-  out = common.out_path(_OUT.value)
+  out = files.output_file('out', _OUT.value)
   names, eval_steps = list(dict.fromkeys(_LEARNERS.value)), _eval_steps()
   if not names:
     raise ValueError(f'--learners: name some of {learners.NAMES}.')

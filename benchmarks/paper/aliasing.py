@@ -1,4 +1,4 @@
-"""How well a policy tells two modes apart: mode aliasing as a number.
+"""Measures how well a policy tells two modes apart: mode aliasing.
 
     python -m benchmarks.paper.aliasing --policy=pi2 --policy=pi2_one_hot \
       --modes=walk_forward,leap_forward --out=aliasing.json
@@ -10,6 +10,7 @@ times after their starts, when settled, over that of their references: 1 where
 the modes differ as they should, 0 where they are one.
 """
 
+import dataclasses
 import pathlib
 from typing import Any, Sequence
 
@@ -17,10 +18,13 @@ from absl import flags
 import numpy as np
 
 from benchmarks import common
-from benchmarks.paper import height_profiles
 from dmc_multimode import pretrained
 from dmc_multimode.bin import app
+from dmc_multimode.evaluation import evaluator as scoring
 from dmc_multimode.evaluation import figures
+from dmc_multimode.modes import schedule as schedule_lib
+from dmc_multimode.suite.imitation import events
+from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import files
 
 _POLICY = flags.DEFINE_multi_string(
@@ -35,6 +39,50 @@ _OUT = flags.DEFINE_string('out', None, 'JSON file to write.')
 _FIGURES = flags.DEFINE_string('figures', None, 'Folder to draw into.')
 
 FIGURE_FILE = 'aliasing.png'
+_SETTLED = 1.2  # Seconds after which heights count.
+
+
+def profiles(
+  policy: pretrained.Policy,
+  modes: Sequence[str],
+  episodes: int,
+  seed: int,
+) -> dict[str, np.ndarray]:
+  """Returns mean heights of the trunk over time.
+
+  Args:
+    policy: knows the modes.
+    modes: names, M of them.
+    episodes: of each.
+    seed: of the initial states.
+
+  Returns:
+    Heights over the support, metres, of the robot and of the reference,
+    [M, T] each; a robot that falls counts where it lies.
+
+  Raises:
+    ValueError: the policy does not know a mode.
+  """
+  config = dataclasses.replace(
+    policy.config, events=events.NONE, limits=terminations.NO_LIMITS
+  )
+  ids = np.repeat([policy.mode_set.index(name) for name in modes], episodes)
+  evaluator = scoring.Evaluator(policy, config, seed, quiet=True)
+  found = evaluator.run(schedule_lib.single(ids), 'profiles')
+  result = {}
+  for name, key in (('robot', 'position'), ('reference', 'reference')):
+    height = (found.traces[key][:, :, 2] - found.traces['support']).T
+    result[name] = height.reshape(len(modes), episodes, -1).mean(axis=1)
+  return result
+
+
+def separation(heights: dict[str, np.ndarray], timestep: float) -> float:
+  """Returns how far apart the robot's two profiles are, of the references'."""
+  settled = round(_SETTLED / timestep)
+  apart = lambda rows: np.sqrt(
+    np.mean((rows[0, settled:] - rows[1, settled:]) ** 2)
+  )
+  return float(apart(heights['robot']) / apart(heights['reference']))
 
 
 def _draw(
@@ -59,7 +107,7 @@ def _draw(
 def main(argv: Sequence[str]) -> None:
   """Measures, prints, writes, draws."""
   del argv
-  out = common.out_path(_OUT.value)
+  out = files.output_file('out', _OUT.value)
   folder = files.output_folder('figures', _FIGURES.value)
   if len(set(_MODES.value)) != 2 or len(_MODES.value) != 2:
     raise ValueError('--modes must name two modes that differ.')
@@ -68,10 +116,8 @@ def main(argv: Sequence[str]) -> None:
   for name in _POLICY.value:
     policy = pretrained.load(name)
     timestep = policy.config.control_timestep
-    found[name] = height_profiles.profiles(
-      policy, _MODES.value, _EPISODES.value, _SEED.value
-    )
-    table[name] = height_profiles.separation(found[name], timestep)
+    found[name] = profiles(policy, _MODES.value, _EPISODES.value, _SEED.value)
+    table[name] = separation(found[name], timestep)
     print(f'{name:40}{table[name]:12.3f}')
   common.write_report(
     out,

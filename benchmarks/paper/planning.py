@@ -1,4 +1,4 @@
-"""How plans are found: the paper's tracks (Table III), and random ones.
+"""Plans across the paper's tracks (Table III), and random ones.
 
     python -m benchmarks.paper.planning --policy=pi2 --out=planning.json
 
@@ -32,6 +32,7 @@ from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import q_learning
 from dmc_multimode.planner import solver as planning
 from dmc_multimode.suite.reaching import problem as reaching
+from dmc_multimode.utils import files
 
 _POLICY = flags.DEFINE_string(
   'policy', 'pi2', 'Name of a shipped policy, or a folder.'
@@ -165,7 +166,7 @@ def _of_all_ranks(
 
 def _plan(communicator: distributed.Communicator) -> None:
   """Plans for every rank's share of the cases; rank 0 prints and writes."""
-  out, cases = common.out_path(_OUT.value), _cases()
+  out, cases = files.output_file('out', _OUT.value), _cases()
   policy = pretrained.load(_POLICY.value)
   torch.set_num_threads(1)  # As `plan` does.
   is_first, is_alone = communicator.rank == 0, communicator.size == 1

@@ -1,4 +1,4 @@
-"""Is the physics sane? Energy, torques, and feet in the ground.
+"""Measures energy, torques, and how deep feet are in the ground.
 
     python -m benchmarks.reliability.fault_physics
 

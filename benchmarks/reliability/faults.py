@@ -71,7 +71,7 @@ def _killed(run: Run) -> Iterator[None]:
   """Kills at a random moment."""
   assert run.reference
   run.start()
-  if run.is_running(run.random.uniform(0, run.reference.seconds)):
+  if run.is_running(run.random.uniform(0, 0.5 * run.reference.seconds)):
     run.send(signal.SIGKILL)
   yield
 

@@ -28,6 +28,7 @@ from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set
 from dmc_multimode.planner import plan as plan_lib
+from dmc_multimode.utils import files
 
 _CASES = flags.DEFINE_integer('cases', 20_000, 'Over all parsers.', 100)
 _SEED = flags.DEFINE_integer('seed', 0, 'Of all cases.', 0)
@@ -245,7 +246,7 @@ def feed(name: str, cases: int, seed: int, folder: pathlib.Path) -> Row:
 def main(argv: Sequence[str]) -> int:
   """Feeds all parsers, prints, writes; returns the exit code."""
   del argv
-  out, rows = common.out_path(_OUT.value), []
+  out, rows = files.output_file('out', _OUT.value), []
   print(
     f'{"file":18}{"cases":>9}{"read":>9}{"refused":>9}{"escaped":>9}'
     f'{"slowest ms":>12}'

@@ -1,4 +1,4 @@
-"""What a policy withstands: physics steps, edges, masses, friction, pushes.
+"""Scores a policy under other physics steps, edges, masses, friction, pushes.
 
     python -m benchmarks.reliability.robustness --policy=pi2 --out=FILE.json
 
@@ -14,7 +14,7 @@ gaits.
 import dataclasses
 import pathlib
 import sys
-from typing import Any, Sequence
+from typing import Any, Mapping, Sequence
 
 from absl import flags
 import mujoco
@@ -22,13 +22,21 @@ import numpy as np
 import tqdm
 
 from benchmarks import common
-from benchmarks.reliability import robustness_cases
 from dmc_multimode import pretrained
 from dmc_multimode.bin import app
+from dmc_multimode.evaluation import evaluator
 from dmc_multimode.evaluation import evaluator as scoring
 from dmc_multimode.evaluation import scores
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes import schedule as schedule_lib
+from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite.imitation import batched_env
+from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.suite.imitation import episodes
 from dmc_multimode.suite.imitation import events
+from dmc_multimode.suite.imitation import mujoco_worlds
+from dmc_multimode.utils import files
+from dmc_multimode.utils import schedule as schedules
 
 _POLICY = flags.DEFINE_string(
   'policy', 'pi2', 'Name of a shipped policy, or a folder.'
@@ -41,14 +49,110 @@ _SEED = flags.DEFINE_integer('seed', 0, 'Of initial states and pushes.', 0)
 _OUT = flags.DEFINE_string('out', None, 'JSON file to write.')
 
 Row = dict[str, Any]
+_PUSH_PERIOD = 1.0  # Seconds.
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+  """One way to make it harder.
+
+  Attributes:
+    physics_timestep: seconds; None for that of the training.
+    edge: how much farther the edges of blocks are, metres.
+    mass: factor of all masses and inertias.
+    friction: factor of all sliding friction.
+    push: change of the trunk's velocity once a second, m/s.
+    obstacles: share of the commands that meet an obstacle, see
+      `suite.imitation.obstacles`.
+  """
+
+  physics_timestep: float | None = None
+  edge: float = 0.0
+  mass: float = 1.0
+  friction: float = 1.0
+  push: float = 0.0
+  obstacles: float = 0.0
+
+
+CASES: Mapping[str, Case] = {
+  'as trained': Case(),
+  '5 ms': Case(physics_timestep=0.005),
+  '2 ms': Case(physics_timestep=0.002),
+  '1 ms': Case(physics_timestep=0.001),
+  'edge 6 cm nearer': Case(edge=-0.06),
+  'edge 6 cm farther': Case(edge=0.06),
+  'mass -10 %': Case(mass=0.9),
+  'mass +10 %': Case(mass=1.1),
+  'friction -10 %': Case(friction=0.9),
+  'friction +10 %': Case(friction=1.1),
+  'pushes': Case(push=0.3),
+  'obstacles': Case(obstacles=1.0),
+}
+
+
+class Worlds(batched_env.BatchedImitation):
+  """BatchedImitation in a `Case`; never begins anew by itself."""
+
+  def __init__(
+    self,
+    case: Case,
+    policy: evaluator.Policy,
+    schedule: schedule_lib.ModeSchedule,
+    config: task_config.ImitationConfig,
+    seed: int,
+  ):
+    """Compiles the task of `policy`, one world a row of `schedule`."""
+    self._case = case
+    self._pushes = np.random.RandomState(seed)
+    self._steps = 0
+    task = multimode_biped.make_task(
+      dataclasses.replace(
+        policy.mode_set,
+        motions=tuple(
+          _with_edge(motion, case.edge) for motion in policy.mode_set.motions
+        ),
+      ),
+      episodes.ScheduledEpisodes(schedule),
+      config=dataclasses.replace(
+        config,
+        events=dataclasses.replace(
+          config.events, obstacles=schedules.constant(case.obstacles)
+        ),
+      ),
+    )
+    model = mujoco_worlds.compile_model(task)
+    model.body_mass *= case.mass
+    model.body_inertia *= case.mass
+    model.geom_friction[:, 0] *= case.friction
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    super().__init__(task, len(schedule), seed, auto_reset=False, model=model)
+
+  def step(self, actions: np.ndarray) -> batched_env.BatchedTimeStep:
+    """Pushes if it is time to, and steps."""
+    self._steps += 1
+    if not self._steps % round(_PUSH_PERIOD / self.control_timestep):
+      angle = self._pushes.uniform(0, 2 * np.pi, self.num_worlds)
+      direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+      self.qvel[:, :2] += self._case.push * direction
+    return super().step(actions)
+
+
+def _with_edge(
+  motion: motion_lib.ReferenceMotion, offset: float
+) -> motion_lib.ReferenceMotion:
+  """Returns the mode with the edge of its step elsewhere."""
+  if motion.ledge is None:
+    return motion
+  edge = motion.ledge.edge + offset
+  return dataclasses.replace(
+    motion, ledge=motion_lib.Ledge(edge, motion.ledge.height)
+  )
 
 
 class Evaluator(scoring.Evaluator):
   """Evaluates in a `Case`."""
 
-  def __init__(
-    self, case: robustness_cases.Case, policy: pretrained.Policy, seed: int
-  ):
+  def __init__(self, case: Case, policy: pretrained.Policy, seed: int):
     """Evaluates `policy` from rest."""
     config = dataclasses.replace(policy.config, events=events.NONE)
     if case.physics_timestep is not None:
@@ -58,20 +162,16 @@ class Evaluator(scoring.Evaluator):
     super().__init__(policy, config, seed, quiet=True)
     self._case = case
 
-  def make_worlds(
-    self, schedule: schedule_lib.ModeSchedule
-  ) -> robustness_cases.Worlds:
+  def make_worlds(self, schedule: schedule_lib.ModeSchedule) -> Worlds:
     """Returns a world of the case for each row of `schedule`."""
-    return robustness_cases.Worlds(
-      self._case, self.policy, schedule, self.config, self.seed
-    )
+    return Worlds(self._case, self.policy, schedule, self.config, self.seed)
 
 
 def judge(
   name: str, policy: pretrained.Policy, episodes: int, seed: int
 ) -> Row:
   """Returns the scores of `policy` in a case."""
-  evaluator = Evaluator(robustness_cases.CASES[name], policy, seed)
+  evaluator = Evaluator(CASES[name], policy, seed)
   modes = scores.evaluate_modes(
     evaluator, scores.MODE_FACTOR * episodes, clock_rate=1.0
   )
@@ -95,7 +195,7 @@ def _line(row: Row) -> str:
 
 def _chosen() -> list[str]:
   """Returns the names of --cases; raises ValueError if one is unknown."""
-  known = list(robustness_cases.CASES)
+  known = list(CASES)
   names = _CASES.value or known
   for name in names:
     if name not in known:
@@ -117,7 +217,7 @@ def _write(out: pathlib.Path | None, rows: Sequence[Row]) -> None:
 def main(argv: Sequence[str]) -> None:
   """Evaluates, prints, writes."""
   del argv
-  out, names = common.out_path(_OUT.value), _chosen()
+  out, names = files.output_file('out', _OUT.value), _chosen()
   policy = pretrained.load(_POLICY.value)
   print(f'{_POLICY.value}, mujoco {mujoco.__version__}')
   rows: list[Row] = []

@@ -1,4 +1,4 @@
-"""Long runs of what users run: does memory stay flat, does anybody complain?
+"""Runs what users run for long, and watches memory and warnings.
 
     python -m benchmarks.reliability.soak --out=soak.json
 
@@ -33,6 +33,7 @@ import torch
 import tqdm
 
 from dmc_multimode.bin import app
+from dmc_multimode.utils import files
 from dmc_multimode.viewer import gl
 
 _POLICY = flags.DEFINE_string(
@@ -224,7 +225,7 @@ def main(argv: Sequence[str]) -> int:
     gl.choose_backend()  # Before anything imports dm_control, as this does:
   from benchmarks import common
 
-  out = common.out_path(_OUT.value)
+  out = files.output_file('out', _OUT.value)
   torch.set_num_threads(1)
   parts = (
     (_STEPS.value, soak_worlds),

@@ -1,4 +1,4 @@
-"""How fast training is in one, two, ... processes on this machine.
+"""Measures training in one, two, ... processes on this machine.
 
     python -m benchmarks.speed.scaling --processes=1,2 --out=scaling.json
 
@@ -25,6 +25,7 @@ from absl import flags
 from benchmarks import common
 from dmc_multimode.agents.ppo import networks
 from dmc_multimode.bin import app
+from dmc_multimode.utils import files
 
 _PROCESSES = flags.DEFINE_list('processes', ['1', '2'], 'How many, in turn.')
 _MODES = flags.DEFINE_string('modes', 'pi2', 'What is trained.')
@@ -189,7 +190,7 @@ def _compute() -> list[Row]:
 def main(argv: Sequence[str]) -> None:
   """Measures, computes, prints, writes."""
   del argv
-  out = common.out_path(_OUT.value)
+  out = files.output_file('out', _OUT.value)
   measured = [] if _MODEL_ONLY.value else _measure()
   report = {'measured': measured, 'model': _compute()}
   common.write_report(out, {'benchmark': 'scaling', **report})

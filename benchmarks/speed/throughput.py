@@ -38,6 +38,7 @@ from dmc_multimode.modes import library
 from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.utils import files
 
 _MODES = flags.DEFINE_string('modes', 'pi2', 'A mode set, or modes.')
 _NUM_WORLDS = flags.DEFINE_integer(
@@ -391,7 +392,7 @@ def _report(config: run_config.RunConfig, rows: list[Row]) -> dict[str, Any]:
 def main(argv: Sequence[str]) -> None:
   """Measures, prints, writes."""
   del argv
-  out = common.out_path(_OUT.value)
+  out = files.output_file('out', _OUT.value)
   config = common.configured(
     modes=_MODES.value,
     seed=_SEED.value,

@@ -7,9 +7,6 @@ import pickle
 from typing import Any, Callable, Iterator
 import zipfile
 
-from hypothesis import given
-from hypothesis import settings
-from hypothesis import strategies as st
 import numpy as np
 import pytest
 from safetensors import torch as safetensors_torch
@@ -34,7 +31,10 @@ from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.utils import resources
 from dmc_multimode.walkers import mini_biped
+from tests.benchmarks import modules
 from tests.bin import untrained
+
+fuzz = modules.load('reliability.fuzz')
 
 _PACKAGE = pathlib.Path(dmc_multimode.__file__).parent
 _MODES = ('idle', 'walk_forward')
@@ -384,52 +384,15 @@ _PLAN = {
   'seed': 2,
   'pushes': [{'time': 0.6, 'velocity': [0.5, 0.0, -0.1]}],
 }
-_SCALARS = st.one_of(
-  st.none(),
-  st.booleans(),
-  st.integers(),
-  st.floats(),
-  st.text(max_size=5),
-  st.sampled_from([10**400, 1e-320, 1e308, float('nan'), float('inf'), 1e4]),
-)
-_VALUES = st.recursive(
-  _SCALARS,
-  lambda inner: st.one_of(
-    st.lists(inner, max_size=4),
-    st.dictionaries(st.sampled_from(['time', 'velocity', 'a']), inner),
-  ),
-  max_leaves=6,
-)
 
 
-def _only_a_value_error(call: Callable[[], Any]) -> None:
-  try:
-    call()
-  except ValueError as error:
-    assert len(str(error).splitlines()) == 1
-    assert len(str(error)) < 1000
-
-
-@settings(max_examples=300, deadline=None, derandomize=True)
-@given(st.dictionaries(st.sampled_from(sorted(_PLAN)), _VALUES, min_size=1))
-def test_values_of_a_plan(changes: dict[str, Any]) -> None:
-  _only_a_value_error(lambda: plan_lib.PlanFile.from_dict({**_PLAN, **changes}))
-
-
-@settings(max_examples=200, deadline=None, derandomize=True)
-@given(
-  st.integers(0, len(json.dumps(_PLAN))),
-  st.integers(0, 8),
-  st.text('[]{}:,"0123456789eE.+-ntf\\u \x00\ud800', max_size=6),
-)
-def test_edits_of_a_plan(
-  tmp_path_factory: pytest.TempPathFactory, start: int, cut: int, text: str
+@pytest.mark.parametrize('name', fuzz.parsers())
+def test_no_parser_raises_another_error(
+  tmp_path: pathlib.Path, name: str
 ) -> None:
-  path = tmp_path_factory.getbasetemp() / 'plan.json'
-  valid = json.dumps(_PLAN)
-  edited = valid[:start] + text + valid[start + cut :]
-  path.write_bytes(edited.encode('utf-8', 'surrogatepass'))
-  _only_a_value_error(lambda: plan_lib.PlanFile.read(path))
+  found = fuzz.feed(name, 200, 0, tmp_path)
+  assert found['refused'] > 100
+  assert not found['escapes']
 
 
 @pytest.mark.parametrize(

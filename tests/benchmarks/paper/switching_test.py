@@ -6,13 +6,15 @@ import pathlib
 import numpy as np
 import pytest
 
-from benchmarks.paper import hard_switch
 from dmc_multimode import pretrained
 from dmc_multimode.modes import library
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import events
+from tests.benchmarks import modules
 from tests.bin import processes
 from tests.bin import untrained
+
+switching = modules.load('paper.switching')
 
 _CONFIG = task_config.ImitationConfig(time_limit=0.3, events=events.NONE)
 _SETS = {'both': ('walk_forward', 'launch'), 'one': ('walk_forward',)}
@@ -31,7 +33,7 @@ def test_each_policy_acts_in_the_worlds_of_its_mode(
   folder: pathlib.Path,
 ) -> None:
   policies = [pretrained.load(folder / name) for name in ('one', 'two')]
-  both = hard_switch.HardSwitch(policies)
+  both = switching.HardSwitch(policies)
   assert both.mode_set.names == ('walk_forward', 'launch')
   state = np.random.RandomState(0).standard_normal((4, 33)).astype(np.float32)
   command = both.mode_set.latents[[1, 0, 0, 1]]
@@ -48,12 +50,12 @@ def test_each_policy_acts_in_the_worlds_of_its_mode(
 def test_needs_policies_of_one_mode(folder: pathlib.Path) -> None:
   policy = pretrained.load(folder / 'both')
   with pytest.raises(ValueError, match='not one of walk_forward, launch'):
-    hard_switch.HardSwitch([policy])
+    switching.HardSwitch([policy])
 
 
 def test_switches_are_spread_over_a_cycle() -> None:
   modes = library.mode_set('walk_forward,launch')
-  schedule = hard_switch.make_schedule(modes, 'walk_forward', 'launch', 4)
+  schedule = switching.make_schedule(modes, 'walk_forward', 'launch', 4)
   np.testing.assert_array_equal(schedule.modes, [[0, 1]] * 4)
   np.testing.assert_allclose(schedule.starts[:, 1], [1.2, 1.35, 1.5, 1.65])
 

@@ -1,29 +1,31 @@
-"""Tests of benchmarks.release.shipping."""
+"""Tests of benchmarks.release.ship."""
 
 import json
 import pathlib
 
 import pytest
 
-from benchmarks.release import shipping
 from dmc_multimode.experiments import config as run_config
+from tests.benchmarks import modules
+
+ship = modules.load('release.ship')
 
 _CSV = 'steps,mra\n10,0.123456\n20,0.2\n30,0.3\n40,0.4\n45,0.45\n'
 
 
 def test_curves_are_thinned() -> None:
-  assert shipping.thinned(_CSV, 20, 45) == (
+  assert ship.thinned(_CSV, 20, 45) == (
     'steps,mra\n10,0.1235\n30,0.3\n45,0.45\n'
   )
-  assert shipping.thinned(_CSV, 1, 99) == _CSV.replace('123456', '1235')
+  assert ship.thinned(_CSV, 1, 99) == _CSV.replace('123456', '1235')
   # What came after the policy does not belong to it.
-  assert shipping.thinned(_CSV, 20, 44).splitlines()[-1][:3] == '40,'
+  assert ship.thinned(_CSV, 20, 44).splitlines()[-1][:3] == '40,'
 
 
 @pytest.mark.parametrize('text', ['', 'steps,mra\n', 'mra\n1\n'])
 def test_what_is_no_curve_is_refused(text: str) -> None:
   with pytest.raises(ValueError, match='not the metrics of a run'):
-    shipping.thinned(text, 20, 99)
+    ship.thinned(text, 20, 99)
 
 
 def _make_run(folder: pathlib.Path, seed: int) -> pathlib.Path:
@@ -47,7 +49,7 @@ def test_all_files_are_gathered_and_old_ones_go(tmp_path: pathlib.Path) -> None:
   shipped = tmp_path / 'shipped'
   shipped.mkdir()
   (shipped / 'metrics.json').write_text('of the policy before')
-  shipping.write(shipping.gather(run, run / 'policies/10', 20), shipped)
+  ship.write(ship.gather(run, run / 'policies/10', 20), shipped)
   assert sorted(path.name for path in shipped.iterdir()) == [
     'encoder.json',
     'policy.json',
@@ -62,6 +64,6 @@ def test_all_files_are_gathered_and_old_ones_go(tmp_path: pathlib.Path) -> None:
 def test_a_policy_of_another_run_is_refused(tmp_path: pathlib.Path) -> None:
   run = _make_run(tmp_path / 'run', seed=1)
   with pytest.raises(ValueError, match='not a policy of the run'):
-    shipping.gather(run, run / 'policies/10', 20)
+    ship.gather(run, run / 'policies/10', 20)
   with pytest.raises(FileNotFoundError, match='holds no policy'):
-    shipping.gather(run, run / 'policies/11', 20)
+    ship.gather(run, run / 'policies/11', 20)
