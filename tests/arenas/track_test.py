@@ -2,12 +2,11 @@
 
 import time
 
-from absl.testing import absltest
-from absl.testing import parameterized
 from dm_control import mjcf
 from dm_control.composer.variation import distributions
 import mujoco
 import numpy as np
+import pytest
 
 from dmc_multimode.arenas import layouts
 from dmc_multimode.arenas import terrain as terrain_lib
@@ -72,175 +71,180 @@ def _starts_and_heights(
   return qpos, rest
 
 
-class LayoutTest(parameterized.TestCase):
-  @parameterized.parameters(*layouts.NAMES)
-  def test_every_layout_generates(self, name: str) -> None:
-    drawn = track.make(name).generate(np.random.RandomState(0))
-    used = np.isfinite(drawn.starts[0])
-    starts, ends = drawn.starts[0, used], drawn.ends[0, used]
-    self.assertTrue(used[0])
-    self.assertTrue(np.all(ends > starts))
-    self.assertTrue(np.all(starts[1:] >= ends[:-1]))
-    self.assertLess(starts[0], -5.0)  # Ground to walk backward on.
-    self.assertGreater(ends[-1], 10.0)
-    self.assertEqual(drawn.tops[0, 0], 0.0)
+@pytest.mark.parametrize('name', [*layouts.NAMES])
+def test_every_layout_generates(name: str) -> None:
+  drawn = track.make(name).generate(np.random.RandomState(0))
+  used = np.isfinite(drawn.starts[0])
+  starts, ends = drawn.starts[0, used], drawn.ends[0, used]
+  assert used[0]
+  assert np.all(ends > starts)
+  assert np.all(starts[1:] >= ends[:-1])
+  assert starts[0] < -5.0  # Ground to walk backward on.
+  assert ends[-1] > 10.0
+  assert drawn.tops[0, 0] == 0.0
 
-  @parameterized.parameters(
+
+@pytest.mark.parametrize(
+  ('name', 'expected'),
+  [
     ('gap', [(-20, 0.8, 0), (1.25, 41.25, 0)]),
     ('plateau', [(-20, 0.7, 0), (0.7, 1.3, 0.2), (1.3, 41.3, 0)]),
     ('block', [(-20, 0.8, 0), (0.8, 40.8, 0.4)]),
     ('gap_block', [(-20, 0.6, 0), (1.05, 1.65, 0), (1.65, 41.65, 0.4)]),
+  ],
+)
+def test_by_hand(name: str, expected: list[tuple[float, float, float]]) -> None:
+  drawn = track.make(name).generate(np.random.RandomState(0))
+  found = np.stack([field[0, : len(expected)] for field in drawn], axis=-1)
+  np.testing.assert_allclose(found, expected)
+  assert np.isinf(drawn.starts[0, len(expected) :]).all()
+
+
+def test_parkour_has_every_obstacle() -> None:
+  arena = _parkour()
+  random_state = np.random.RandomState(0)
+  for _ in range(20):
+    drawn = arena.generate(random_state)
+    used = np.isfinite(drawn.starts[0])
+    gaps = drawn.starts[0, used][1:] - drawn.ends[0, used][:-1]
+    assert 0.2 <= gaps.max() <= 0.45
+    assert np.sum(gaps > 1e-9) == 1
+    rises = np.diff(drawn.tops[0, used])
+    assert np.sum(rises > 1e-9) == 2  # A plateau and a block.
+    assert rises.max() <= 0.4
+
+
+def test_only_flat_ground_is_adaptive() -> None:
+  adaptive = [name for name in layouts.NAMES if track.make(name).adaptive]
+  assert adaptive == ['flat']
+
+
+def _varied() -> track.Track:
+  return track.Track(
+    layouts.gap(
+      distance=distributions.Uniform(0.5, 1.0),
+      width=distributions.Uniform(0.2, 0.4),
+    ),
+    3,
   )
-  def test_by_hand(
-    self, name: str, expected: list[tuple[float, float, float]]
-  ) -> None:
-    drawn = track.make(name).generate(np.random.RandomState(0))
-    found = np.stack([field[0, : len(expected)] for field in drawn], axis=-1)
-    np.testing.assert_allclose(found, expected)
-    self.assertTrue(np.isinf(drawn.starts[0, len(expected) :]).all())
-
-  def test_parkour_has_every_obstacle(self) -> None:
-    arena = _parkour()
-    random_state = np.random.RandomState(0)
-    for _ in range(20):
-      drawn = arena.generate(random_state)
-      used = np.isfinite(drawn.starts[0])
-      gaps = drawn.starts[0, used][1:] - drawn.ends[0, used][:-1]
-      self.assertBetween(gaps.max(), 0.2, 0.45)
-      self.assertEqual(np.sum(gaps > 1e-9), 1)
-      rises = np.diff(drawn.tops[0, used])
-      self.assertEqual(np.sum(rises > 1e-9), 2)  # A plateau and a block.
-      self.assertLessEqual(rises.max(), 0.4)
-
-  def test_only_flat_ground_is_adaptive(self) -> None:
-    adaptive = [name for name in layouts.NAMES if track.make(name).adaptive]
-    self.assertEqual(adaptive, ['flat'])
 
 
-class RandomnessTest(parameterized.TestCase):
-  def _varied(self) -> track.Track:
-    return track.Track(
-      layouts.gap(
-        distance=distributions.Uniform(0.5, 1.0),
-        width=distributions.Uniform(0.2, 0.4),
-      ),
-      3,
+@pytest.mark.parametrize('parkour', [True, False])
+def test_one_seed_one_track(parkour: bool) -> None:
+  drawn: list[list[terrain_lib.Terrain]] = []
+  for _ in range(2):
+    np.random.seed(len(drawn))  # Module-level state must not matter.
+    arena = _parkour() if parkour else _varied()
+    random_state = np.random.RandomState(7)
+    drawn.append([arena.generate(random_state) for _ in range(3)])
+  for first, second in zip(*drawn, strict=True):
+    for mine, other in zip(first, second, strict=True):
+      np.testing.assert_array_equal(mine, other)
+  assert drawn[0][0].ends[0, 0] != drawn[0][1].ends[0, 0]
+
+
+def test_module_level_state_is_left_alone() -> None:
+  np.random.seed(0)
+  before = np.random.get_state()[1].copy()  # type: ignore[index]
+  _parkour().generate(np.random.RandomState(1))
+  _varied().generate(np.random.RandomState(1))
+  after = np.random.get_state()[1]  # type: ignore[index]
+  np.testing.assert_array_equal(before, after)
+
+
+def test_variations_stay_in_their_bounds() -> None:
+  arena, random_state = _varied(), np.random.RandomState(0)
+  for _ in range(20):
+    drawn = arena.generate(random_state)
+    assert 0.5 <= drawn.ends[0, 0] <= 1.0
+    assert 0.2 <= drawn.starts[0, 1] - drawn.ends[0, 0] <= 0.4
+
+
+def test_unknown_arena() -> None:
+  with pytest.raises(ValueError, match="'moat'.*flat, gap"):
+    track.make('moat')
+
+
+def test_pool_too_small() -> None:
+  with pytest.raises(ValueError, match='3 pieces does not fit 2'):
+    track.make('plateau', 2).generate(np.random.RandomState(0))
+
+
+def test_no_pool() -> None:
+  with pytest.raises(ValueError, match='num_segments'):
+    track.make('flat', 0)
+
+
+def test_no_pieces() -> None:
+  with pytest.raises(ValueError, match='0 pieces'):
+    track.Track((), 2).generate(np.random.RandomState(0))
+
+
+@pytest.mark.parametrize(
+  'sizes',
+  [{'length': 0.0}, {'length': -1.0}, {'length': float('nan')}, {'gap': -0.1}],
+)
+def test_impossible_piece(sizes: dict[str, float]) -> None:
+  piece = layouts.Piece(**{'length': 1.0, **sizes})
+  with pytest.raises(ValueError, match='Piece 1 needs'):
+    track.Track((layouts.Piece(1.0), piece), 2).generate(
+      np.random.RandomState(0)
     )
 
-  @parameterized.parameters(True, False)
-  def test_one_seed_one_track(self, parkour: bool) -> None:
-    drawn: list[list[terrain_lib.Terrain]] = []
-    for _ in range(2):
-      np.random.seed(len(drawn))  # Module-level state must not matter.
-      arena = _parkour() if parkour else self._varied()
-      random_state = np.random.RandomState(7)
-      drawn.append([arena.generate(random_state) for _ in range(3)])
-    for first, second in zip(*drawn, strict=True):
-      for mine, other in zip(first, second, strict=True):
-        np.testing.assert_array_equal(mine, other)
-    self.assertNotEqual(drawn[0][0].ends[0, 0], drawn[0][1].ends[0, 0])
 
-  def test_module_level_state_is_left_alone(self) -> None:
-    np.random.seed(0)
-    before = np.random.get_state()[1].copy()  # type: ignore[index]
-    _parkour().generate(np.random.RandomState(1))
-    self._varied().generate(np.random.RandomState(1))
-    after = np.random.get_state()[1]  # type: ignore[index]
-    np.testing.assert_array_equal(before, after)
-
-  def test_variations_stay_in_their_bounds(self) -> None:
-    arena, random_state = self._varied(), np.random.RandomState(0)
-    for _ in range(20):
-      drawn = arena.generate(random_state)
-      self.assertBetween(drawn.ends[0, 0], 0.5, 1.0)
-      self.assertBetween(drawn.starts[0, 1] - drawn.ends[0, 0], 0.2, 0.4)
+def test_reset_takes_below_two_milliseconds() -> None:
+  arena, random_state = _parkour(), np.random.RandomState(0)
+  physics = mjcf.Physics.from_mjcf_model(arena.mjcf_model)
+  seconds = []
+  for _ in range(101):
+    start = time.perf_counter()
+    with physics.reset_context():
+      arena.regenerate(physics, random_state)
+    seconds.append(time.perf_counter() - start)
+  assert np.median(seconds) < 2e-3
 
 
-class ErrorsTest(parameterized.TestCase):
-  def test_unknown_arena(self) -> None:
-    with self.assertRaisesRegex(ValueError, "'moat'.*flat, gap"):
-      track.make('moat')
+def test_terrain_is_what_stands() -> None:
+  arena, random_state = _parkour(), np.random.RandomState(0)
+  physics = mjcf.Physics.from_mjcf_model(arena.mjcf_model)
+  arena.regenerate(physics, random_state)
+  physics.forward()
+  centres, halves = terrain_lib.boxes(arena.terrain)
+  geoms = physics.bind(arena.ground_geoms)
+  np.testing.assert_allclose(geoms.xpos, centres[0])
+  np.testing.assert_allclose(geoms.size, halves[0])
 
-  def test_pool_too_small(self) -> None:
-    with self.assertRaisesRegex(ValueError, '3 pieces does not fit 2'):
-      track.make('plateau', 2).generate(np.random.RandomState(0))
 
-  def test_no_pool(self) -> None:
-    with self.assertRaisesRegex(ValueError, 'num_segments'):
-      track.make('flat', 0)
+def test_composer_balls_rest_on_every_segment() -> None:
+  arena, random_state = _parkour(), np.random.RandomState(0)
+  joints = _add_balls(arena)
+  physics = mjcf.Physics.from_mjcf_model(arena.mjcf_model)
+  for _ in range(_NUM_TRACKS):
+    with physics.reset_context():
+      arena.regenerate(physics, random_state)
+      qpos, rest = _starts_and_heights(arena.terrain)
+      physics.bind(joints).qpos = qpos[0].ravel()
+    mujoco.mj_step(physics.model.ptr, physics.data.ptr, nstep=_SETTLED)
+    heights = np.asarray(physics.bind(joints).qpos).reshape(-1, 7)[:, 2]
+    np.testing.assert_allclose(heights, rest[0], atol=3e-3)
 
-  def test_no_pieces(self) -> None:
-    with self.assertRaisesRegex(ValueError, '0 pieces'):
-      track.Track((), 2).generate(np.random.RandomState(0))
 
-  @parameterized.parameters(
-    {'length': 0.0}, {'length': -1.0}, {'length': float('nan')}, {'gap': -0.1}
+def test_batched_balls_rest_on_every_segment() -> None:
+  motions = library.resolve('idle')
+  arena = _parkour()
+  task = multimode_biped.make_task(mode_set.one_hot(motions), arena=arena)
+  joints = [joint.full_identifier for joint in _add_balls(arena)]
+  worlds = batched_env.BatchedImitation(
+    task, _NUM_TRACKS, seed=0, num_threads=2
   )
-  def test_impossible_piece(self, **sizes: float) -> None:
-    piece = layouts.Piece(**{'length': 1.0, **sizes})
-    with self.assertRaisesRegex(ValueError, 'Piece 1 needs'):
-      track.Track((layouts.Piece(1.0), piece), 2).generate(
-        np.random.RandomState(0)
-      )
-
-
-class ComposerTest(parameterized.TestCase):
-  def test_reset_takes_below_two_milliseconds(self) -> None:
-    arena, random_state = _parkour(), np.random.RandomState(0)
-    physics = mjcf.Physics.from_mjcf_model(arena.mjcf_model)
-    seconds = []
-    for _ in range(101):
-      start = time.perf_counter()
-      with physics.reset_context():
-        arena.regenerate(physics, random_state)
-      seconds.append(time.perf_counter() - start)
-    self.assertLess(np.median(seconds), 2e-3)
-
-  def test_terrain_is_what_stands(self) -> None:
-    arena, random_state = _parkour(), np.random.RandomState(0)
-    physics = mjcf.Physics.from_mjcf_model(arena.mjcf_model)
-    arena.regenerate(physics, random_state)
-    physics.forward()
-    centres, halves = terrain_lib.boxes(arena.terrain)
-    geoms = physics.bind(arena.ground_geoms)
-    np.testing.assert_allclose(geoms.xpos, centres[0])
-    np.testing.assert_allclose(geoms.size, halves[0])
-
-  def test_balls_rest_on_every_segment(self) -> None:
-    arena, random_state = _parkour(), np.random.RandomState(0)
-    joints = _add_balls(arena)
-    physics = mjcf.Physics.from_mjcf_model(arena.mjcf_model)
-    for _ in range(_NUM_TRACKS):
-      with physics.reset_context():
-        arena.regenerate(physics, random_state)
-        qpos, rest = _starts_and_heights(arena.terrain)
-        physics.bind(joints).qpos = qpos[0].ravel()
-      mujoco.mj_step(physics.model.ptr, physics.data.ptr, nstep=_SETTLED)
-      heights = np.asarray(physics.bind(joints).qpos).reshape(-1, 7)[:, 2]
-      np.testing.assert_allclose(heights, rest[0], atol=3e-3)
-
-
-class BatchedTest(parameterized.TestCase):
-  def test_balls_rest_on_every_segment(self) -> None:
-    motions = library.resolve('idle')
-    arena = _parkour()
-    task = multimode_biped.make_task(mode_set.one_hot(motions), arena=arena)
-    joints = [joint.full_identifier for joint in _add_balls(arena)]
-    worlds = batched_env.BatchedImitation(
-      task, _NUM_TRACKS, seed=0, num_threads=2
-    )
-    everywhere, random_state = np.arange(_NUM_TRACKS), np.random.RandomState(0)
-    for world in everywhere:
-      worlds.core.terrain.write(np.array([world]), arena.generate(random_state))
-    worlds._move_boxes(everywhere)
-    qpos, rest = _starts_and_heights(worlds.core.terrain)
-    addresses = [worlds.physics.model.joint(name).qposadr[0] for name in joints]
-    columns = np.add.outer(addresses, np.arange(7))
-    worlds.qpos[:, 2] = 50.0  # The robot keeps out of it.
-    worlds.qpos[:, columns] = qpos
-    worlds.physics.batch.step(nstep=_SETTLED)
-    np.testing.assert_allclose(worlds.qpos[:, columns][..., 2], rest, atol=3e-3)
-
-
-if __name__ == '__main__':
-  absltest.main()
+  everywhere, random_state = np.arange(_NUM_TRACKS), np.random.RandomState(0)
+  for world in everywhere:
+    worlds.core.terrain.write(np.array([world]), arena.generate(random_state))
+  worlds._move_boxes(everywhere)
+  qpos, rest = _starts_and_heights(worlds.core.terrain)
+  addresses = [worlds.physics.model.joint(name).qposadr[0] for name in joints]
+  columns = np.add.outer(addresses, np.arange(7))
+  worlds.qpos[:, 2] = 50.0  # The robot keeps out of it.
+  worlds.qpos[:, columns] = qpos
+  worlds.physics.batch.step(nstep=_SETTLED)
+  np.testing.assert_allclose(worlds.qpos[:, columns][..., 2], rest, atol=3e-3)

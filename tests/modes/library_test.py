@@ -2,9 +2,8 @@
 
 import dataclasses
 
-from absl.testing import absltest
-from absl.testing import parameterized
 import numpy as np
+import pytest
 
 from dmc_multimode.modes import library
 from dmc_multimode.modes import reference
@@ -17,38 +16,42 @@ def _speed(name: str) -> np.ndarray:
   return bank.displacements[0] / bank.durations[0]
 
 
-class LibraryTest(parameterized.TestCase):
-  def test_has_fourteen_modes_under_their_names(self) -> None:
-    self.assertLen(library.modes(), 14)
-    for name, motion in library.modes().items():
-      self.assertEqual(name, motion.name)
+def test_has_fourteen_modes_under_their_names() -> None:
+  assert len(library.modes()) == 14
+  for name, motion in library.modes().items():
+    assert name == motion.name
 
-  @parameterized.parameters(*library.modes())
-  def test_starts_nominal_and_stays_sane(self, name: str) -> None:
-    motion = library.modes()[name]
-    np.testing.assert_allclose(motion.positions[0], [0, 0, 0.5])
-    bank = reference.ReferenceBank([motion])
-    phases = np.linspace(0, 1, 101)
-    modes = np.zeros(101, dtype=np.int64)
-    speed = np.linalg.norm(bank.velocity(modes, phases), axis=-1)
-    self.assertLess(speed.max(), 3.0)
-    height = bank.sample(modes, phases).position[:, 2]
-    lowest = min(motion.ledge.height, 0.0) if motion.ledge else 0.0
-    self.assertGreaterEqual(height.min() - lowest, 0.4)
 
-  @parameterized.parameters(*library.modes())
-  def test_mirror_is_its_reflection(self, name: str) -> None:
-    motion = library.modes()[name]
-    mirror = library.modes()[motion.mirror]
-    self.assertEqual(mirror.mirror, name)
-    flip = np.array([1.0, -1.0, 1.0])
-    np.testing.assert_allclose(mirror.positions, motion.positions * flip)
-    if motion.contacts is None or mirror.contacts is None:
-      raise AssertionError('every library mode has contacts')
-    if not motion.half_cycle_symmetric:
-      np.testing.assert_array_equal(mirror.contacts, motion.contacts[:, ::-1])
+@pytest.mark.parametrize('name', [*library.modes()])
+def test_starts_nominal_and_stays_sane(name: str) -> None:
+  motion = library.modes()[name]
+  np.testing.assert_allclose(motion.positions[0], [0, 0, 0.5])
+  bank = reference.ReferenceBank([motion])
+  phases = np.linspace(0, 1, 101)
+  modes = np.zeros(101, dtype=np.int64)
+  speed = np.linalg.norm(bank.velocity(modes, phases), axis=-1)
+  assert speed.max() < 3.0
+  height = bank.sample(modes, phases).position[:, 2]
+  lowest = min(motion.ledge.height, 0.0) if motion.ledge else 0.0
+  assert height.min() - lowest >= 0.4
 
-  @parameterized.parameters(
+
+@pytest.mark.parametrize('name', [*library.modes()])
+def test_mirror_is_its_reflection(name: str) -> None:
+  motion = library.modes()[name]
+  mirror = library.modes()[motion.mirror]
+  assert mirror.mirror == name
+  flip = np.array([1.0, -1.0, 1.0])
+  np.testing.assert_allclose(mirror.positions, motion.positions * flip)
+  if motion.contacts is None or mirror.contacts is None:
+    raise AssertionError('every library mode has contacts')
+  if not motion.half_cycle_symmetric:
+    np.testing.assert_array_equal(mirror.contacts, motion.contacts[:, ::-1])
+
+
+@pytest.mark.parametrize(
+  ('name', 'expected'),
+  [
     ('idle', [0, 0, 0]),
     ('walk_forward', [0.6, 0, 0]),
     ('walk_backward', [-0.4, 0, 0]),
@@ -58,77 +61,89 @@ class LibraryTest(parameterized.TestCase):
     ('leap_left', [0, 0.25, 0]),
     ('hop_forward', [0.6, 0, 0]),
     ('launch', [0, 0, 0]),
-  )
-  def test_mean_velocity(self, name: str, expected: list[float]) -> None:
-    np.testing.assert_allclose(_speed(name), expected, atol=1e-12)
-
-  def test_leap_flies_about_as_gravity_allows(self) -> None:
-    motion = library.modes()['leap_forward']
-    heights = motion.positions[:, 2]
-    self.assertAlmostEqual(heights.max() - heights[0], 0.18)
-    if motion.contacts is None:
-      raise AssertionError('leap has contacts')
-    takeoff = int(np.flatnonzero(motion.contacts[:, 0] == 0)[0])
-    landing = int(np.flatnonzero(motion.contacts[:, 0] == 0)[-1]) + 1
-    flight = motion.duration * (motion.phases[landing] - motion.phases[takeoff])
-    rise = _GRAVITY * flight**2 / 8
-    self.assertAlmostEqual(rise, heights.max() - heights[takeoff], delta=0.05)
-
-  def test_hop_differs_from_walk_in_contacts_alone(self) -> None:
-    walk, hop = library.resolve('walk_forward,hop_forward')
-    phases = np.linspace(0, 1, 31)
-    one, other = (reference.sample(m, phases) for m in (walk, hop))
-    np.testing.assert_allclose(one.position, other.position, atol=1e-12)
-    self.assertFalse(np.array_equal(one.contact, other.contact))
-    np.testing.assert_array_equal(other.contact[:, 0], other.contact[:, 1])
-
-  @parameterized.parameters(('launch', 0.4), ('step_down', -0.4))
-  def test_jumps_end_behind_their_edge(self, name: str, height: float) -> None:
-    jump = library.modes()[name]
-    assert jump.ledge is not None
-    self.assertEqual(jump.ledge.height, height)
-    x, _, z = jump.positions[-1]
-    self.assertAlmostEqual(z, library.STAND_HEIGHT + height)
-    self.assertGreater(x, jump.ledge.edge)
-    self.assertGreater(jump.takeoff, 0)
-
-  def test_step_down_falls_as_gravity_has_it(self) -> None:
-    jump = library.modes()['step_down']
-    index = int(np.searchsorted(jump.phases, jump.takeoff))
-    takeoff, middle, touchdown = jump.positions[index : index + 3, 2]
-    times = jump.duration * np.diff(jump.phases[index : index + 3])
-    fall = times.sum()
-    climb = (touchdown - takeoff) / fall + _GRAVITY * fall / 2
-    expected = takeoff + times[0] * (climb - _GRAVITY * times[0] / 2)
-    self.assertAlmostEqual(middle, expected, delta=0.03)
-
-  @parameterized.parameters(('turn_left', 1), ('turn_right', -1))
-  def test_turns_stay_on_the_spot(self, name: str, sign: int) -> None:
-    bank = reference.ReferenceBank([library.modes()[name]])
-    self.assertAlmostEqual(bank.turns[0], sign * 0.35)
-    self.assertTrue(bank.gaits[0])
-    np.testing.assert_array_equal(bank.displacements, 0.0)
-
-  @parameterized.parameters(('pi1', 9), ('pi2', 4), ('pi3', 4), ('pi_all', 14))
-  def test_sets(self, name: str, size: int) -> None:
-    motions = library.resolve(name)
-    self.assertLen(motions, size)
-    self.assertEqual([m.name for m in motions], list(library.SETS[name]))
-
-  def test_resolve_names(self) -> None:
-    by_text = library.resolve('launch, idle')
-    self.assertEqual([m.name for m in by_text], ['launch', 'idle'])
-    self.assertEqual(library.resolve(['launch', 'idle']), by_text)
-
-  def test_resolve_prefers_user_modes(self) -> None:
-    own = dataclasses.replace(library.modes()['idle'], duration=9.0)
-    self.assertEqual(library.resolve('idle', [own])[0].duration, 9.0)
-    self.assertEqual(library.resolve('idle')[0].duration, 0.6)
-
-  def test_resolve_names_what_it_knows(self) -> None:
-    with self.assertRaisesRegex(ValueError, "'fly'.*walk_forward.*pi1"):
-      library.resolve('idle,fly')
+  ],
+)
+def test_mean_velocity(name: str, expected: list[float]) -> None:
+  np.testing.assert_allclose(_speed(name), expected, atol=1e-12)
 
 
-if __name__ == '__main__':
-  absltest.main()
+def test_leap_flies_about_as_gravity_allows() -> None:
+  motion = library.modes()['leap_forward']
+  heights = motion.positions[:, 2]
+  assert heights.max() - heights[0] == pytest.approx(0.18, abs=1e-7)
+  if motion.contacts is None:
+    raise AssertionError('leap has contacts')
+  takeoff = int(np.flatnonzero(motion.contacts[:, 0] == 0)[0])
+  landing = int(np.flatnonzero(motion.contacts[:, 0] == 0)[-1]) + 1
+  flight = motion.duration * (motion.phases[landing] - motion.phases[takeoff])
+  rise = _GRAVITY * flight**2 / 8
+  assert rise == pytest.approx(heights.max() - heights[takeoff], abs=0.05)
+
+
+def test_hop_differs_from_walk_in_contacts_alone() -> None:
+  walk, hop = library.resolve('walk_forward,hop_forward')
+  phases = np.linspace(0, 1, 31)
+  one, other = (reference.sample(m, phases) for m in (walk, hop))
+  np.testing.assert_allclose(one.position, other.position, atol=1e-12)
+  assert not np.array_equal(one.contact, other.contact)
+  np.testing.assert_array_equal(other.contact[:, 0], other.contact[:, 1])
+
+
+@pytest.mark.parametrize(
+  ('name', 'height'), [('launch', 0.4), ('step_down', -0.4)]
+)
+def test_jumps_end_behind_their_edge(name: str, height: float) -> None:
+  jump = library.modes()[name]
+  assert jump.ledge is not None
+  assert jump.ledge.height == height
+  x, _, z = jump.positions[-1]
+  assert z == pytest.approx(library.STAND_HEIGHT + height, abs=1e-7)
+  assert x > jump.ledge.edge
+  assert jump.takeoff > 0
+
+
+def test_step_down_falls_as_gravity_has_it() -> None:
+  jump = library.modes()['step_down']
+  index = int(np.searchsorted(jump.phases, jump.takeoff))
+  takeoff, middle, touchdown = jump.positions[index : index + 3, 2]
+  times = jump.duration * np.diff(jump.phases[index : index + 3])
+  fall = times.sum()
+  climb = (touchdown - takeoff) / fall + _GRAVITY * fall / 2
+  expected = takeoff + times[0] * (climb - _GRAVITY * times[0] / 2)
+  assert middle == pytest.approx(expected, abs=0.03)
+
+
+@pytest.mark.parametrize(
+  ('name', 'sign'), [('turn_left', 1), ('turn_right', -1)]
+)
+def test_turns_stay_on_the_spot(name: str, sign: int) -> None:
+  bank = reference.ReferenceBank([library.modes()[name]])
+  assert bank.turns[0] == pytest.approx(sign * 0.35, abs=1e-7)
+  assert bank.gaits[0]
+  np.testing.assert_array_equal(bank.displacements, 0.0)
+
+
+@pytest.mark.parametrize(
+  ('name', 'size'), [('pi1', 9), ('pi2', 4), ('pi3', 4), ('pi_all', 14)]
+)
+def test_sets(name: str, size: int) -> None:
+  motions = library.resolve(name)
+  assert len(motions) == size
+  assert [m.name for m in motions] == list(library.SETS[name])
+
+
+def test_resolve_names() -> None:
+  by_text = library.resolve('launch, idle')
+  assert [m.name for m in by_text] == ['launch', 'idle']
+  assert library.resolve(['launch', 'idle']) == by_text
+
+
+def test_resolve_prefers_user_modes() -> None:
+  own = dataclasses.replace(library.modes()['idle'], duration=9.0)
+  assert library.resolve('idle', [own])[0].duration == 9.0
+  assert library.resolve('idle')[0].duration == 0.6
+
+
+def test_resolve_names_what_it_knows() -> None:
+  with pytest.raises(ValueError, match="'fly'.*walk_forward.*pi1"):
+    library.resolve('idle,fly')

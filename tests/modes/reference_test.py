@@ -3,9 +3,8 @@
 import dataclasses
 from typing import Any
 
-from absl.testing import absltest
-from absl.testing import parameterized
 import numpy as np
+import pytest
 
 from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes import reference
@@ -38,60 +37,74 @@ def _still(name: str = 'still') -> motion_lib.ReferenceMotion:
   )
 
 
-class ReferenceMotionTest(parameterized.TestCase):
-  @parameterized.parameters(
+@pytest.mark.parametrize(
+  ('phase', 'expected'),
+  [
     (0.0, [0, 0, 0.5]),
     (0.125, [0.2, 0, 0.6]),
     (0.25, [0.4, 0, 0.7]),
     (0.5, [0.6, 0.1, 0.7 - 0.2 / 3]),
     (1.0, [1.0, 0.3, 0.5]),
+  ],
+)
+def test_position_is_linear_between_keyframes(
+  phase: float, expected: list[float]
+) -> None:
+  position = reference.sample(_motion(), np.array([phase])).position[0]
+  np.testing.assert_allclose(position, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+  ('phase', 'degrees'), [(0.1, 0), (0.25, 0), (0.5, 30), (0.75, 60), (1, 90)]
+)
+def test_orientation_turns_at_constant_rate(
+  phase: float, degrees: float
+) -> None:
+  orientation = reference.sample(_motion(), np.array([phase])).orientation[0]
+  half = np.radians(degrees) / 2
+  expected = [np.cos(half), 0, 0, np.sin(half)]
+  np.testing.assert_allclose(orientation, expected, atol=1e-12)
+  np.testing.assert_allclose(
+    motion_lib.yaw(orientation), np.radians(degrees), atol=1e-12
   )
-  def test_position_is_linear_between_keyframes(
-    self, phase: float, expected: list[float]
-  ) -> None:
-    position = reference.sample(_motion(), np.array([phase])).position[0]
-    np.testing.assert_allclose(position, expected, atol=1e-12)
 
-  @parameterized.parameters((0.1, 0), (0.25, 0), (0.5, 30), (0.75, 60), (1, 90))
-  def test_orientation_turns_at_constant_rate(
-    self, phase: float, degrees: float
-  ) -> None:
-    orientation = reference.sample(_motion(), np.array([phase])).orientation[0]
-    half = np.radians(degrees) / 2
-    expected = [np.cos(half), 0, 0, np.sin(half)]
-    np.testing.assert_allclose(orientation, expected, atol=1e-12)
-    np.testing.assert_allclose(
-      motion_lib.yaw(orientation), np.radians(degrees), atol=1e-12
-    )
 
-  def test_slerp_takes_the_short_way(self) -> None:
-    flipped = [[1, 0, 0, 0], [-1, 0, 0, 0], [-_HALF, 0, 0, -_HALF]]
-    phases = np.linspace(0, 1, 21)
-    one = reference.sample(_motion(), phases).orientation
-    other = reference.sample(_motion(orientations=flipped), phases).orientation
-    alike = np.abs(np.sum(one * other, axis=-1))
-    np.testing.assert_allclose(alike, 1.0, atol=1e-12)
+def test_slerp_takes_the_short_way() -> None:
+  flipped = [[1, 0, 0, 0], [-1, 0, 0, 0], [-_HALF, 0, 0, -_HALF]]
+  phases = np.linspace(0, 1, 21)
+  one = reference.sample(_motion(), phases).orientation
+  other = reference.sample(_motion(orientations=flipped), phases).orientation
+  alike = np.abs(np.sum(one * other, axis=-1))
+  np.testing.assert_allclose(alike, 1.0, atol=1e-12)
 
-  @parameterized.parameters((0.0, [1, 0]), (0.24, [1, 0]), (0.25, [0, 1]))
-  def test_contacts_hold_until_the_next_keyframe(
-    self, phase: float, expected: list[int]
-  ) -> None:
-    sampled = reference.sample(_motion(), np.array([phase, 1.0]))
-    np.testing.assert_array_equal(sampled.contact, [expected, [0, 1]])
-    np.testing.assert_array_equal(sampled.has_contact, [True, True])
 
-  def test_orientations_are_normalised_once(self) -> None:
-    motion = _motion(orientations=[[2, 0, 0, 0], [0, 3, 0, 0], [1, 2, 3, 4]])
-    norms = np.linalg.norm(motion.orientations, axis=-1)
-    np.testing.assert_allclose(norms, 1.0, atol=1e-15)
-    again = dataclasses.replace(motion)
-    np.testing.assert_array_equal(again.orientations, motion.orientations)
+@pytest.mark.parametrize(
+  ('phase', 'expected'), [(0.0, [1, 0]), (0.24, [1, 0]), (0.25, [0, 1])]
+)
+def test_contacts_hold_until_the_next_keyframe(
+  phase: float, expected: list[int]
+) -> None:
+  sampled = reference.sample(_motion(), np.array([phase, 1.0]))
+  np.testing.assert_array_equal(sampled.contact, [expected, [0, 1]])
+  np.testing.assert_array_equal(sampled.has_contact, [True, True])
 
-  def test_mirror_is_the_mode_itself_by_default(self) -> None:
-    self.assertEqual(_motion().mirror, 'test')
-    self.assertEqual(_motion(mirror='other').mirror, 'other')
 
-  @parameterized.parameters(
+def test_orientations_are_normalised_once() -> None:
+  motion = _motion(orientations=[[2, 0, 0, 0], [0, 3, 0, 0], [1, 2, 3, 4]])
+  norms = np.linalg.norm(motion.orientations, axis=-1)
+  np.testing.assert_allclose(norms, 1.0, atol=1e-15)
+  again = dataclasses.replace(motion)
+  np.testing.assert_array_equal(again.orientations, motion.orientations)
+
+
+def test_mirror_is_the_mode_itself_by_default() -> None:
+  assert _motion().mirror == 'test'
+  assert _motion(mirror='other').mirror == 'other'
+
+
+@pytest.mark.parametrize(
+  ('changes', 'message'),
+  [
     ({'kind': 'sometimes'}, 'kind'),
     ({'duration': 0.0}, 'duration'),
     ({'duration': float('nan')}, 'duration'),
@@ -110,184 +123,195 @@ class ReferenceMotionTest(parameterized.TestCase):
     ({'takeoff': 1.5}, 'takeoff'),
     ({'takeoff': float('nan')}, 'takeoff'),
     ({'kind': motion_lib.STEADY}, 'steady'),
-  )
-  def test_rejects(self, changes: dict[str, Any], message: str) -> None:
-    with self.assertRaisesRegex(ValueError, message) as caught:
-      _motion(**changes)
-    self.assertNotIn('\n', str(caught.exception))
+  ],
+)
+def test_rejects(changes: dict[str, Any], message: str) -> None:
+  with pytest.raises(ValueError, match=message) as caught:
+    _motion(**changes)
+  assert '\n' not in str(caught.value)
 
 
-class ReferenceBankTest(parameterized.TestCase):
-  def test_batch_equals_each_motion_alone(self) -> None:
-    motions = (_motion(), _still())
-    bank = reference.ReferenceBank(motions)
-    rng = np.random.default_rng(0)
-    modes, phases = rng.integers(0, 2, 200), rng.random(200)
-    phases[:4] = (0.0, 0.0, 1.0, 1.0)
-    together = bank.sample(modes, phases)
-    for i, motion in enumerate(motions):
-      alone = reference.sample(motion, phases[modes == i])
-      for field, values in zip(alone._fields, alone, strict=True):
-        batched = getattr(together, field)[modes == i]
-        np.testing.assert_allclose(batched, values, atol=1e-12)
+def test_batch_equals_each_motion_alone() -> None:
+  motions = (_motion(), _still())
+  bank = reference.ReferenceBank(motions)
+  rng = np.random.default_rng(0)
+  modes, phases = rng.integers(0, 2, 200), rng.random(200)
+  phases[:4] = (0.0, 0.0, 1.0, 1.0)
+  together = bank.sample(modes, phases)
+  for i, motion in enumerate(motions):
+    alone = reference.sample(motion, phases[modes == i])
+    for field, values in zip(alone._fields, alone, strict=True):
+      batched = getattr(together, field)[modes == i]
+      np.testing.assert_allclose(batched, values, atol=1e-12)
 
-  def test_periodic_modes_alone_move_on(self) -> None:
-    transient = _motion(name='once', kind=motion_lib.TRANSIENT)
-    bank = reference.ReferenceBank([_motion(), transient, _still()])
-    expected = np.array([[1.0, 0.3, 0.0], [0, 0, 0], [0, 0, 0]])
-    np.testing.assert_allclose(bank.displacements, expected, atol=1e-12)
-    np.testing.assert_allclose(bank.turns, [np.pi / 2, 0, 0], atol=1e-12)
 
-  @parameterized.parameters(
+def test_periodic_modes_alone_move_on() -> None:
+  transient = _motion(name='once', kind=motion_lib.TRANSIENT)
+  bank = reference.ReferenceBank([_motion(), transient, _still()])
+  expected = np.array([[1.0, 0.3, 0.0], [0, 0, 0], [0, 0, 0]])
+  np.testing.assert_allclose(bank.displacements, expected, atol=1e-12)
+  np.testing.assert_allclose(bank.turns, [np.pi / 2, 0, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+  ('phase', 'expected'),
+  [
     (0.1, [0.8, 0.0, 0.4]),
     (0.0, [0.8, 0.0, 0.4]),
     (0.5, [0.4, 0.2, -0.4 / 3]),
     (1.0, [0.4, 0.2, -0.4 / 3]),
+  ],
+)
+def test_velocity_is_the_slope(phase: float, expected: list[float]) -> None:
+  bank = reference.ReferenceBank([_still(), _motion()])
+  velocity = bank.velocity(np.array([1, 0]), np.array([phase, phase]))
+  np.testing.assert_allclose(velocity[0], expected, atol=1e-9)
+  np.testing.assert_allclose(velocity[1], [0, 0, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize('phase', [0.25, 0.4, 0.6, 0.74])
+def test_free_flight_lands_where_the_reference_does(phase: float) -> None:
+  """In the air from a quarter to three quarters of 2 s, then a contact."""
+  motion = _motion(
+    phases=[0.0, 0.25, 0.5, 0.75, 1.0],
+    positions=[
+      [0, 0, 0.5],
+      [0.4, 0, 0.7],
+      [0.6, 0.1, 1.0],
+      [1.0, 0.3, 0.8],
+      [1.2, 0.3, 0.5],
+    ],
+    orientations=[[1, 0, 0, 0]] * 5,
+    contacts=[[1, 1], [0, 0], [0, 0], [0, 1], [1, 1]],
   )
-  def test_velocity_is_the_slope(
-    self, phase: float, expected: list[float]
-  ) -> None:
-    bank = reference.ReferenceBank([_still(), _motion()])
-    velocity = bank.velocity(np.array([1, 0]), np.array([phase, phase]))
-    np.testing.assert_allclose(velocity[0], expected, atol=1e-9)
-    np.testing.assert_allclose(velocity[1], [0, 0, 0], atol=1e-9)
+  bank = reference.ReferenceBank([_still(), motion])
+  modes, phases = np.array([1]), np.array([phase])
+  velocity = bank.start_velocity(modes, phases)[0]
+  # Too short a rest of the flight is taken for a 20th of a second.
+  start = min(phase, 0.75 - 0.025)
+  position = bank.sample(modes, np.array([start])).position[0]
+  time = (0.75 - start) * 2.0
+  landed = position + velocity * time - [0, 0, 0.5 * 9.81 * time**2]
+  np.testing.assert_allclose(landed, [1.0, 0.3, 0.8], atol=1e-9)
 
-  @parameterized.parameters(0.25, 0.4, 0.6, 0.74)
-  def test_free_flight_lands_where_the_reference_does(
-    self, phase: float
-  ) -> None:
-    """In the air from a quarter to three quarters of 2 s, then a contact."""
-    motion = _motion(
-      phases=[0.0, 0.25, 0.5, 0.75, 1.0],
-      positions=[
-        [0, 0, 0.5],
-        [0.4, 0, 0.7],
-        [0.6, 0.1, 1.0],
-        [1.0, 0.3, 0.8],
-        [1.2, 0.3, 0.5],
-      ],
-      orientations=[[1, 0, 0, 0]] * 5,
-      contacts=[[1, 1], [0, 0], [0, 0], [0, 1], [1, 1]],
-    )
-    bank = reference.ReferenceBank([_still(), motion])
-    modes, phases = np.array([1]), np.array([phase])
-    velocity = bank.start_velocity(modes, phases)[0]
-    # Too short a rest of the flight is taken for a 20th of a second.
-    start = min(phase, 0.75 - 0.025)
-    position = bank.sample(modes, np.array([start])).position[0]
-    time = (0.75 - start) * 2.0
-    landed = position + velocity * time - [0, 0, 0.5 * 9.81 * time**2]
-    np.testing.assert_allclose(landed, [1.0, 0.3, 0.8], atol=1e-9)
 
-  def test_the_ground_accelerates_up_to_the_take_off(self) -> None:
-    motion = _motion(
-      positions=[[0, 0, 0.5], [0, 0, 0.6], [0, 0, 0.8]],
-      orientations=[[1, 0, 0, 0]] * 3,
-      contacts=[[1, 1], [0, 0], [1, 1]],
-    )
-    bank = reference.ReferenceBank([motion])
-    phases = np.array([0.0, 0.125, 0.25 - 1e-9])
-    velocity = bank.start_velocity(np.zeros(3, int), phases)
-    # 1.5 s of flight: 0.2 m up and down again.
-    takeoff = 0.2 / 1.5 + 0.5 * 9.81 * 1.5
-    slope = 0.1 / 0.5
-    expected = [slope, (slope + takeoff) / 2, takeoff]
-    np.testing.assert_allclose(velocity[:, 2], expected, rtol=1e-6)
-    np.testing.assert_array_equal(velocity[:, :2], 0.0)
+def test_the_ground_accelerates_up_to_the_take_off() -> None:
+  motion = _motion(
+    positions=[[0, 0, 0.5], [0, 0, 0.6], [0, 0, 0.8]],
+    orientations=[[1, 0, 0, 0]] * 3,
+    contacts=[[1, 1], [0, 0], [1, 1]],
+  )
+  bank = reference.ReferenceBank([motion])
+  phases = np.array([0.0, 0.125, 0.25 - 1e-9])
+  velocity = bank.start_velocity(np.zeros(3, int), phases)
+  # 1.5 s of flight: 0.2 m up and down again.
+  takeoff = 0.2 / 1.5 + 0.5 * 9.81 * 1.5
+  slope = 0.1 / 0.5
+  expected = [slope, (slope + takeoff) / 2, takeoff]
+  np.testing.assert_allclose(velocity[:, 2], expected, rtol=1e-6)
+  np.testing.assert_array_equal(velocity[:, :2], 0.0)
 
-  @parameterized.parameters(
+
+@pytest.mark.parametrize(
+  ('takeoff', 'contacts', 'expected'),
+  [
     (0.25, [[1, 1], [0, 0], [1, 1]], 1.0),  # Up at 0.25, down at the end.
     (0.5, [[1, 1], [0, 0], [0, 1]], 1.0),
     (0.1, [[1, 1], [0, 0], [1, 1]], 0.1),  # Still on the ground there.
     (0.25, None, 0.25),  # Nobody knows.
     (0.0, [[0, 0], [0, 0], [1, 1]], 0.0),  # Not a jump.
+  ],
+)
+def test_touch_down_after_the_take_off(
+  takeoff: float, contacts: list[list[int]] | None, expected: float
+) -> None:
+  motion = _motion(takeoff=takeoff, contacts=contacts)
+  bank = reference.ReferenceBank([motion])
+  np.testing.assert_array_equal(bank.touchdowns, [expected])
+
+
+@pytest.mark.parametrize(
+  ('push_off', 'expected'), [(0.0, 0.1), (0.29, 0.1), (0.31, 1.0)]
+)
+def test_flights_count_from_the_push_off_on(
+  push_off: float, expected: float
+) -> None:
+  # Of 2 s: takes off at 0.5 s, which is 0.3 s later, lands at the end.
+  motion = _motion(contacts=[[1, 1], [0, 0], [1, 1]])
+  bank = reference.ReferenceBank([motion])
+  phases = bank.grounded(np.array([0]), np.array([0.1]), push_off)
+  np.testing.assert_array_equal(phases, [expected])
+
+
+def test_flight_past_the_last_keyframe_ends_with_the_cycle() -> None:
+  motion = _motion(contacts=[[1, 0], [0, 0], [0, 0]])
+  bank = reference.ReferenceBank([motion])
+  velocity = bank.start_velocity(np.array([0]), np.array([0.5]))[0]
+  # Half a cycle, 1 s, from (0.6, 0.1, 0.6333) to (1, 0.3, 0.5).
+  expected = [0.4, 0.2, 0.5 - (0.7 - 0.2 / 3) + 0.5 * 9.81]
+  np.testing.assert_allclose(velocity, expected, atol=1e-9)
+
+
+def test_has_contacts() -> None:
+  bank = reference.ReferenceBank([_motion(), _still()])
+  sampled = bank.sample(np.array([1, 0]), np.array([0.0, 0.0]))
+  np.testing.assert_array_equal(sampled.has_contact, [False, True])
+  np.testing.assert_array_equal(sampled.contact, [[0, 0], [1, 0]])
+
+
+def test_steps_of_one_foot() -> None:
+  """Keyframes within a step do not cut it; flight and stance are no step."""
+  motion = _motion(
+    phases=[0.0, 0.1, 0.4, 0.5, 0.75, 1.0],
+    positions=np.zeros((6, 3)),
+    orientations=np.tile([1.0, 0.0, 0.0, 0.0], (6, 1)),
+    contacts=[[1, 0], [1, 0], [0, 0], [0, 1], [1, 1], [1, 1]],
   )
-  def test_touch_down_after_the_take_off(
-    self, takeoff: float, contacts: list[list[int]] | None, expected: float
-  ) -> None:
-    motion = _motion(takeoff=takeoff, contacts=contacts)
-    bank = reference.ReferenceBank([motion])
-    np.testing.assert_array_equal(bank.touchdowns, [expected])
-
-  @parameterized.parameters((0.0, 0.1), (0.29, 0.1), (0.31, 1.0))
-  def test_flights_count_from_the_push_off_on(
-    self, push_off: float, expected: float
-  ) -> None:
-    # Of 2 s: takes off at 0.5 s, which is 0.3 s later, lands at the end.
-    motion = _motion(contacts=[[1, 1], [0, 0], [1, 1]])
-    bank = reference.ReferenceBank([motion])
-    phases = bank.grounded(np.array([0]), np.array([0.1]), push_off)
-    np.testing.assert_array_equal(phases, [expected])
-
-  def test_flight_past_the_last_keyframe_ends_with_the_cycle(self) -> None:
-    motion = _motion(contacts=[[1, 0], [0, 0], [0, 0]])
-    bank = reference.ReferenceBank([motion])
-    velocity = bank.start_velocity(np.array([0]), np.array([0.5]))[0]
-    # Half a cycle, 1 s, from (0.6, 0.1, 0.6333) to (1, 0.3, 0.5).
-    expected = [0.4, 0.2, 0.5 - (0.7 - 0.2 / 3) + 0.5 * 9.81]
-    np.testing.assert_allclose(velocity, expected, atol=1e-9)
-
-  def test_has_contacts(self) -> None:
-    bank = reference.ReferenceBank([_motion(), _still()])
-    sampled = bank.sample(np.array([1, 0]), np.array([0.0, 0.0]))
-    np.testing.assert_array_equal(sampled.has_contact, [False, True])
-    np.testing.assert_array_equal(sampled.contact, [[0, 0], [1, 0]])
-
-  def test_steps_of_one_foot(self) -> None:
-    """Keyframes within a step do not cut it; flight and stance are no step."""
-    motion = _motion(
-      phases=[0.0, 0.1, 0.4, 0.5, 0.75, 1.0],
-      positions=np.zeros((6, 3)),
-      orientations=np.tile([1.0, 0.0, 0.0, 0.0], (6, 1)),
-      contacts=[[1, 0], [1, 0], [0, 0], [0, 1], [1, 1], [1, 1]],
-    )
-    bank = reference.ReferenceBank([_still(), motion])
-    phases = np.array([0.0, 0.05, 0.3, 0.45, 0.5, 0.6, 0.8, 0.3])
-    modes = np.array([1, 1, 1, 1, 1, 1, 1, 0])
-    swinging, time, length = bank.swing_timing(modes, phases)
-    np.testing.assert_array_equal(
-      swinging,
-      np.array([[0, 0, 0, 0, 1, 1, 0, 0], [1, 1, 1, 0, 0, 0, 0, 0]], bool).T,
-    )
-    # From 0 to 0.4 and from 0.5 to 0.75 of 2 s.
-    moving = swinging.any(axis=1)
-    np.testing.assert_allclose(length[moving], [0.8, 0.8, 0.8, 0.5, 0.5])
-    np.testing.assert_allclose(time[moving], [-0.4, -0.3, 0.2, -0.25, -0.05])
-
-  def test_gaits(self) -> None:
-    """Periodic, and on one foot at times."""
-    in_sync = [[1, 1], [0, 0], [1, 1]]
-    motions = [
-      _motion(name='walk'),
-      _motion(name='jump', kind=motion_lib.TRANSIENT),
-      _motion(name='hop', contacts=in_sync),
-      _motion(name='free', contacts=None),
-      _still(),
-    ]
-    bank = reference.ReferenceBank(motions)
-    np.testing.assert_array_equal(
-      bank.gaits, [True, False, False, False, False]
-    )
-
-  def test_a_step_up_to_the_end_of_the_cycle(self) -> None:
-    bank = reference.ReferenceBank([_motion(), _still()])
-    swinging, time, length = bank.swing_timing(np.array([0]), np.array([0.9]))
-    np.testing.assert_array_equal(swinging, [[True, False]])
-    np.testing.assert_allclose((time[0], length[0]), (2 * (0.9 - 0.625), 1.5))
-
-  def test_index(self) -> None:
-    bank = reference.ReferenceBank([_motion(), _still()])
-    self.assertLen(bank, 2)
-    self.assertEqual(bank.index('still'), 1)
-    with self.assertRaisesRegex(ValueError, "'walk'.*test, still"):
-      bank.index('walk')
-
-  def test_rejects_no_modes_and_duplicates(self) -> None:
-    with self.assertRaisesRegex(ValueError, 'at least one'):
-      reference.ReferenceBank([])
-    with self.assertRaisesRegex(ValueError, 'unique'):
-      reference.ReferenceBank([_still(), _still()])
+  bank = reference.ReferenceBank([_still(), motion])
+  phases = np.array([0.0, 0.05, 0.3, 0.45, 0.5, 0.6, 0.8, 0.3])
+  modes = np.array([1, 1, 1, 1, 1, 1, 1, 0])
+  swinging, time, length = bank.swing_timing(modes, phases)
+  np.testing.assert_array_equal(
+    swinging,
+    np.array([[0, 0, 0, 0, 1, 1, 0, 0], [1, 1, 1, 0, 0, 0, 0, 0]], bool).T,
+  )
+  # From 0 to 0.4 and from 0.5 to 0.75 of 2 s.
+  moving = swinging.any(axis=1)
+  np.testing.assert_allclose(length[moving], [0.8, 0.8, 0.8, 0.5, 0.5])
+  np.testing.assert_allclose(time[moving], [-0.4, -0.3, 0.2, -0.25, -0.05])
 
 
-if __name__ == '__main__':
-  absltest.main()
+def test_gaits() -> None:
+  """Periodic, and on one foot at times."""
+  in_sync = [[1, 1], [0, 0], [1, 1]]
+  motions = [
+    _motion(name='walk'),
+    _motion(name='jump', kind=motion_lib.TRANSIENT),
+    _motion(name='hop', contacts=in_sync),
+    _motion(name='free', contacts=None),
+    _still(),
+  ]
+  bank = reference.ReferenceBank(motions)
+  np.testing.assert_array_equal(bank.gaits, [True, False, False, False, False])
+
+
+def test_a_step_up_to_the_end_of_the_cycle() -> None:
+  bank = reference.ReferenceBank([_motion(), _still()])
+  swinging, time, length = bank.swing_timing(np.array([0]), np.array([0.9]))
+  np.testing.assert_array_equal(swinging, [[True, False]])
+  np.testing.assert_allclose((time[0], length[0]), (2 * (0.9 - 0.625), 1.5))
+
+
+def test_index() -> None:
+  bank = reference.ReferenceBank([_motion(), _still()])
+  assert len(bank) == 2
+  assert bank.index('still') == 1
+  with pytest.raises(ValueError, match="'walk'.*test, still"):
+    bank.index('walk')
+
+
+def test_rejects_no_modes_and_duplicates() -> None:
+  with pytest.raises(ValueError, match='at least one'):
+    reference.ReferenceBank([])
+  with pytest.raises(ValueError, match='unique'):
+    reference.ReferenceBank([_still(), _still()])

@@ -2,9 +2,8 @@
 
 from typing import Any
 
-from absl.testing import absltest
-from absl.testing import parameterized
 import numpy as np
+import pytest
 
 from dmc_multimode.modes import library
 from dmc_multimode.modes import schedule
@@ -15,19 +14,21 @@ _NEVER = np.iinfo(np.int64).max
 _PI2 = library.mode_set('pi2')
 
 
-class ModeScheduleTest(parameterized.TestCase):
-  def test_start_steps(self) -> None:
-    plan = schedule.ModeSchedule(
-      np.zeros((2, 3), dtype=np.int64),
-      np.array([[0.0, 0.3, 0.46], [0.0, 1.2, np.inf]]),
-      np.ones(2),
-    )
-    self.assertLen(plan, 2)
-    np.testing.assert_array_equal(
-      plan.start_steps(0.03), [[0, 10, 15], [0, 40, _NEVER]]
-    )
+def test_start_steps() -> None:
+  plan = schedule.ModeSchedule(
+    np.zeros((2, 3), dtype=np.int64),
+    np.array([[0.0, 0.3, 0.46], [0.0, 1.2, np.inf]]),
+    np.ones(2),
+  )
+  assert len(plan) == 2
+  np.testing.assert_array_equal(
+    plan.start_steps(0.03), [[0, 10, 15], [0, 40, _NEVER]]
+  )
 
-  @parameterized.parameters(
+
+@pytest.mark.parametrize(
+  ('changes', 'message'),
+  [
     ({'modes': np.zeros(2)}, 'one shape'),
     ({'starts': np.zeros((1, 3))}, 'one shape'),
     ({'modes': np.zeros((1, 0)), 'starts': np.zeros((1, 0))}, 'one shape'),
@@ -38,103 +39,116 @@ class ModeScheduleTest(parameterized.TestCase):
     ({'clock_rate': np.zeros(1)}, 'positive'),
     ({'clock_rate': np.array([np.nan])}, 'positive'),
     ({'clock_rate': np.array([np.inf])}, 'positive'),
+  ],
+)
+def test_rejects(changes: dict[str, Any], message: str) -> None:
+  fields: dict[str, Any] = {
+    'modes': np.zeros((1, 2), dtype=np.int64),
+    'starts': np.array([[0.0, 1.0]]),
+    'clock_rate': np.ones(1),
+  }
+  with pytest.raises(ValueError, match=message):
+    schedule.ModeSchedule(**{**fields, **changes})
+
+
+def test_single() -> None:
+  plan = schedule.single(np.array([2, 0]), clock_rate=1.5)
+  np.testing.assert_array_equal(plan.modes, [[2], [0]])
+  np.testing.assert_array_equal(plan.starts, [[0], [0]])
+  np.testing.assert_array_equal(plan.clock_rate, [1.5, 1.5])
+
+
+def test_transitions_switch_after_clips_and_phase() -> None:
+  walk, launch = _PI2.index('walk_forward'), _PI2.index('launch')
+  plan = schedule.transitions(
+    _PI2,
+    initial=np.array([walk, walk, launch, launch]),
+    final=np.array([0, 2, 0, 1]),
+    clips=np.array([0, 1, 0, 1]),
+    phases=np.array([0.25, 0.5, 0.25, 0.25]),
   )
-  def test_rejects(self, changes: dict[str, Any], message: str) -> None:
-    fields: dict[str, Any] = {
-      'modes': np.zeros((1, 2), dtype=np.int64),
-      'starts': np.array([[0.0, 1.0]]),
-      'clock_rate': np.ones(1),
-    }
-    with self.assertRaisesRegex(ValueError, message):
-      schedule.ModeSchedule(**{**fields, **changes})
+  np.testing.assert_array_equal(plan.modes[:, 1], [0, 2, 0, 1])
+  # Walk lasts 0.6 s; launch 1.1 s, and it is left as a whole.
+  expected = [0.15, 0.9, 1.1, 1.25 * 1.1]
+  np.testing.assert_allclose(plan.starts[:, 1], expected)
 
 
-class BuildersTest(parameterized.TestCase):
-  def test_single(self) -> None:
-    plan = schedule.single(np.array([2, 0]), clock_rate=1.5)
-    np.testing.assert_array_equal(plan.modes, [[2], [0]])
-    np.testing.assert_array_equal(plan.starts, [[0], [0]])
-    np.testing.assert_array_equal(plan.clock_rate, [1.5, 1.5])
+def test_commands_wait_for_the_ground() -> None:
+  leap, launch = _PI2.index('leap_forward'), _PI2.index('launch')
+  plan = lambda **kwargs: schedule.transitions(
+    _PI2,
+    initial=np.array([leap, leap, leap, launch, launch]),
+    final=np.array([launch, 0, launch, 0, launch]),
+    clips=np.array([0, 1, 0, 0, 1]),
+    phases=np.array([0.5, 0.5, 0.75, 0.5, 0.5]),
+    **kwargs,
+  )
+  # A leap lasts 1.2 s and flies from phase 0.42 to 0.70; a launch lasts 1.1
+  # s, lands at 0.82 and then stands.
+  np.testing.assert_allclose(
+    plan().starts[:, 1], [0.7 * 1.2, 1.7 * 1.2, 0.75 * 1.2, 1.1, 1.5 * 1.1]
+  )
+  np.testing.assert_allclose(
+    plan(commands_from_ground=False).starts[:, 1],
+    [0.6, 1.8, 0.9, 0.82 * 1.1, 1.5 * 1.1],
+  )
 
-  def test_transitions_switch_after_clips_and_phase(self) -> None:
-    walk, launch = _PI2.index('walk_forward'), _PI2.index('launch')
-    plan = schedule.transitions(
-      _PI2,
-      initial=np.array([walk, walk, launch, launch]),
-      final=np.array([0, 2, 0, 1]),
-      clips=np.array([0, 1, 0, 1]),
-      phases=np.array([0.25, 0.5, 0.25, 0.25]),
-    )
-    np.testing.assert_array_equal(plan.modes[:, 1], [0, 2, 0, 1])
-    # Walk lasts 0.6 s; launch 1.1 s, and it is left as a whole.
-    expected = [0.15, 0.9, 1.1, 1.25 * 1.1]
-    np.testing.assert_allclose(plan.starts[:, 1], expected)
 
-  def test_commands_wait_for_the_ground(self) -> None:
-    leap, launch = _PI2.index('leap_forward'), _PI2.index('launch')
-    plan = lambda **kwargs: schedule.transitions(
-      _PI2,
-      initial=np.array([leap, leap, leap, launch, launch]),
-      final=np.array([launch, 0, launch, 0, launch]),
-      clips=np.array([0, 1, 0, 0, 1]),
-      phases=np.array([0.5, 0.5, 0.75, 0.5, 0.5]),
-      **kwargs,
-    )
-    # A leap lasts 1.2 s and flies from phase 0.42 to 0.70; a launch lasts 1.1
-    # s, lands at 0.82 and then stands.
-    np.testing.assert_allclose(
-      plan().starts[:, 1], [0.7 * 1.2, 1.7 * 1.2, 0.75 * 1.2, 1.1, 1.5 * 1.1]
-    )
-    np.testing.assert_allclose(
-      plan(commands_from_ground=False).starts[:, 1],
-      [0.6, 1.8, 0.9, 0.82 * 1.1, 1.5 * 1.1],
-    )
+def test_commands_wait_for_who_pushes_off() -> None:
+  pi3 = library.mode_set('pi3')
+  hop, leap = pi3.index('hop_forward'), pi3.index('leap_forward')
+  plan = schedule.transitions(
+    pi3,
+    initial=np.array([hop, hop, hop, leap]),
+    final=np.zeros(4, dtype=np.int64),
+    clips=np.array([0, 0, 1, 0]),
+    phases=np.array([0.25, 0.5, 0.5, 0.25]),
+  )
+  # A hop takes 0.6 s and off at 0.4 s: 0.25 s after phase 0.25, 0.1 s after
+  # phase 0.5. It lands at its end. A leap takes off 0.2 s after phase 0.25.
+  np.testing.assert_allclose(plan.starts[:, 1], [0.15, 0.6, 1.2, 0.3])
 
-  def test_commands_wait_for_who_pushes_off(self) -> None:
-    pi3 = library.mode_set('pi3')
-    hop, leap = pi3.index('hop_forward'), pi3.index('leap_forward')
-    plan = schedule.transitions(
-      pi3,
-      initial=np.array([hop, hop, hop, leap]),
-      final=np.zeros(4, dtype=np.int64),
-      clips=np.array([0, 0, 1, 0]),
-      phases=np.array([0.25, 0.5, 0.5, 0.25]),
-    )
-    # A hop takes 0.6 s and off at 0.4 s: 0.25 s after phase 0.25, 0.1 s after
-    # phase 0.5. It lands at its end. A leap takes off 0.2 s after phase 0.25.
-    np.testing.assert_allclose(plan.starts[:, 1], [0.15, 0.6, 1.2, 0.3])
 
-  def test_from_knots(self) -> None:
-    plan = schedule.from_knots(np.array([[1, 0, 2]]), 0.3, clock_rate=0.8)
-    np.testing.assert_array_equal(plan.modes, [[1, 0, 2]])
-    np.testing.assert_allclose(plan.starts, [[0, 0.3, 0.6]])
-    np.testing.assert_allclose(plan.clock_rate, [0.8])
+def test_from_knots() -> None:
+  plan = schedule.from_knots(np.array([[1, 0, 2]]), 0.3, clock_rate=0.8)
+  np.testing.assert_array_equal(plan.modes, [[1, 0, 2]])
+  np.testing.assert_allclose(plan.starts, [[0, 0.3, 0.6]])
+  np.testing.assert_allclose(plan.clock_rate, [0.8])
 
-  @parameterized.parameters(0.0, -1.0, float('nan'))
-  def test_from_knots_rejects(self, duration: float) -> None:
-    with self.assertRaisesRegex(ValueError, 'longer than 0'):
-      schedule.from_knots(np.array([[1, 0]]), duration)
 
-  def test_from_names(self) -> None:
-    names, durations = schedule.parse('walk_forward:2, leap_forward:3,idle:1')
-    plan = schedule.from_names(_PI2, names, durations)
-    np.testing.assert_array_equal(plan.modes, [[1, 2, 0]])
-    np.testing.assert_allclose(plan.starts, [[0, 2, 5]])
+@pytest.mark.parametrize('duration', [0.0, -1.0, float('nan')])
+def test_from_knots_rejects(duration: float) -> None:
+  with pytest.raises(ValueError, match='longer than 0'):
+    schedule.from_knots(np.array([[1, 0]]), duration)
 
-  @parameterized.parameters(
+
+def test_from_names() -> None:
+  names, durations = schedule.parse('walk_forward:2, leap_forward:3,idle:1')
+  plan = schedule.from_names(_PI2, names, durations)
+  np.testing.assert_array_equal(plan.modes, [[1, 2, 0]])
+  np.testing.assert_allclose(plan.starts, [[0, 2, 5]])
+
+
+@pytest.mark.parametrize(
+  ('names', 'durations', 'message'),
+  [
     (['fly'], [1.0], "'fly'"),
     (['idle'], [-1.0], 'positive'),
     (['idle'], [float('inf')], 'positive'),
     (['idle'], [], 'as many'),
     ([], [], 'at least 1'),
-  )
-  def test_from_names_rejects(
-    self, names: list[str], durations: list[float], message: str
-  ) -> None:
-    with self.assertRaisesRegex(ValueError, message):
-      schedule.from_names(_PI2, names, durations)
+  ],
+)
+def test_from_names_rejects(
+  names: list[str], durations: list[float], message: str
+) -> None:
+  with pytest.raises(ValueError, match=message):
+    schedule.from_names(_PI2, names, durations)
 
-  @parameterized.parameters(
+
+@pytest.mark.parametrize(
+  'text',
+  [
     '',
     'idle',
     'idle:',
@@ -145,11 +159,8 @@ class BuildersTest(parameterized.TestCase):
     'idle:inf',
     'idle:1,',
     'idle:1:2',
-  )
-  def test_parse_rejects(self, text: str) -> None:
-    with self.assertRaisesRegex(ValueError, 'MODE:SECONDS'):
-      schedule.parse(text)
-
-
-if __name__ == '__main__':
-  absltest.main()
+  ],
+)
+def test_parse_rejects(text: str) -> None:
+  with pytest.raises(ValueError, match='MODE:SECONDS'):
+    schedule.parse(text)
