@@ -250,28 +250,6 @@ def test_keeps_the_policy_that_was_just_learned() -> None:
     np.testing.assert_array_equal(value, kept[0][key])
 
 
-def test_keeping_goes_on_where_it_was() -> None:
-  loop, kept = _toy_loop(), []
-  for steps in (32, 48, 80):
-    loop.run(
-      runner.TrainingConfig(steps=steps, keep_every=40),
-      Recorder(),
-      lambda: None,
-      keep=lambda: kept.append(loop.steps),
-    )
-  assert kept == [48, 80]
-
-
-def test_saves_what_it_has_when_nothing_is_logged() -> None:
-  loop, states = _toy_loop(), []
-  loop.run(
-    runner.TrainingConfig(steps=16),
-    Recorder(),
-    lambda: states.append(loop.state()[1]),
-  )
-  assert states == [{'steps': 16, 'iterations': 1}]
-
-
 @pytest.mark.parametrize(
   'changes',
   [
