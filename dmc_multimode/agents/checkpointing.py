@@ -100,7 +100,7 @@ class Checkpointer:
     return self._directory / NAME
 
   def exists(self) -> bool:
-    """Whether there is anything to resume from."""
+    """Returns whether there is anything to resume from."""
     return self.path.exists() or (self._directory / PREVIOUS).exists()
 
   def save(

@@ -1,4 +1,4 @@
-"""What agents and environments know of each other: structural protocols."""
+"""Protocols by which agents and environments know each other."""
 
 import dataclasses
 from typing import Callable, Mapping, Protocol
@@ -16,7 +16,7 @@ ModeOf = Callable[[torch.Tensor], torch.Tensor]
 
 
 class Policy(Protocol):
-  """What acts in a batch of worlds."""
+  """Selects actions in a batch of worlds."""
 
   def select_action(self, observations: np.ndarray, /) -> np.ndarray:
     """Returns actions [B, A] for observations float32 [B, D]."""
@@ -24,7 +24,7 @@ class Policy(Protocol):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class EnvironmentDescription:
-  """What an agent must know of an environment before it is built.
+  """Describes an environment to an agent that is to be built for it.
 
   Attributes:
     observation_spec: one world's observation, with privileged parts, [D].
@@ -63,7 +63,7 @@ class Outcomes(Protocol):
 
   @property
   def causes(self) -> np.ndarray:
-    """Why they ended, 0 for the time limit, [N]."""
+    """Causes of their ends, 0 for the time limit, [N]."""
 
 
 class EpisodeResults(Outcomes, Protocol):
@@ -71,7 +71,7 @@ class EpisodeResults(Outcomes, Protocol):
 
   @property
   def worlds(self) -> np.ndarray:
-    """Where they were, [N]."""
+    """Indices of their worlds, [N]."""
 
   @property
   def lengths(self) -> np.ndarray:
@@ -95,7 +95,7 @@ class BatchedTimeStep(Protocol):
 
   @property
   def last(self) -> np.ndarray:
-    """Whether the episode ended, [B]."""
+    """True where the episode ended, [B]."""
 
   @property
   def observation(self) -> np.ndarray:
@@ -103,7 +103,7 @@ class BatchedTimeStep(Protocol):
 
   @property
   def final_observation(self) -> np.ndarray:
-    """What the N worlds of `results.worlds` saw at the end, [N, D]."""
+    """Last observations of the N worlds of `results.worlds`, [N, D]."""
 
   @property
   def results(self) -> EpisodeResults:

@@ -1,4 +1,4 @@
-"""What processes that train one network together tell each other.
+"""Communication of the processes that train one network together.
 
 Each of them, a rank, has worlds of its own and the same network. An operation
 of several ranks is collective: every rank must call it, in the same order, or
@@ -19,7 +19,7 @@ _PATIENCE = datetime.timedelta(minutes=30)
 
 
 class Moments(NamedTuple):
-  """How many values, their mean, and their standard deviation (unbiased)."""
+  """Number of values, their mean and standard deviation (unbiased)."""
 
   number: int
   mean: torch.Tensor

@@ -20,7 +20,7 @@ from dmc_multimode.agents.ppo import rollouts
 
 @dataclasses.dataclass(frozen=True)
 class TrainingConfig:
-  """How long to train and how often to report.
+  """Length of a training, and times of its reports.
 
   Attributes:
     steps: environment steps, summed over all worlds.

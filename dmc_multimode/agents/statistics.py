@@ -1,4 +1,4 @@
-"""What a training keeps of the episodes that have ended."""
+"""Statistics of the episodes that end during a training."""
 
 from typing import Mapping, NamedTuple
 

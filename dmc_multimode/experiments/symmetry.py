@@ -1,4 +1,4 @@
-"""What an agent is told of the imitation task: mirror images, and modes."""
+"""Mirror images and modes of the imitation task, as an agent is told them."""
 
 import numpy as np
 import torch

@@ -107,7 +107,7 @@ class FeedForwardActor:
     """Takes what an action led to."""
 
   def update(self, wait: bool = False) -> None:
-    """Has no variables to fetch."""
+    """Fetches nothing: the network is shared."""
 
 
 class EnvironmentLoop:

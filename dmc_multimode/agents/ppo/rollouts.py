@@ -1,4 +1,4 @@
-"""What a policy has lived through, and what is learned from it."""
+"""Rollouts of a policy, and the samples that a learner makes of them."""
 
 import functools
 from typing import Iterator, NamedTuple
