@@ -25,12 +25,12 @@ from dmc_multimode import pretrained
 from dmc_multimode.arenas import layouts
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track
-from dmc_multimode.modes import library
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import composer_task
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import mujoco_worlds
+from dmc_multimode.utils import constants
 
 FULL, STANDING, POLICY = ACTIONS = ('full', 'standing', 'policy')
 USERS_TIMESTEP = 0.005  # Seconds; the default of the task.
@@ -102,7 +102,7 @@ def drop(timestep: float, seed: int, height: float = 0.5) -> Drop:
   model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
   data, random = mujoco.MjData(model), np.random.RandomState(seed)
   data.mocap_pos[0] = [0.0, 0.0, -terrain_lib.BOX_THICKNESS / 2]
-  data.qpos[2] = library.STAND_HEIGHT + height
+  data.qpos[2] = constants.STAND_HEIGHT + height
   data.qpos[3:7] = random.standard_normal(4)
   data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
   data.qpos[7:] = random.uniform(-0.2, 0.2, model.nq - 7)

@@ -8,9 +8,8 @@ import numpy as np
 from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import motion as motion_lib
+from dmc_multimode.utils import constants
 from dmc_multimode.utils import resources
-
-STAND_HEIGHT = 0.5  # Nominal height of the trunk over its support, metres.
 
 _WALK_DURATION = 0.6  # Seconds for one stride of both feet.
 _WALK_SPEEDS = {  # m/s; forward covers the 2 m of Table III in 3.3 s.
@@ -67,7 +66,7 @@ def _idle() -> motion_lib.ReferenceMotion:
     kind=motion_lib.STEADY,
     duration=_WALK_DURATION,
     phases=np.array([0.0, 1.0]),
-    positions=np.tile([0.0, 0.0, STAND_HEIGHT], (2, 1)),
+    positions=np.tile([0.0, 0.0, constants.STAND_HEIGHT], (2, 1)),
     orientations=_upright(2),
     contacts=np.ones((2, 2)),
     half_cycle_symmetric=True,
@@ -79,8 +78,10 @@ def _level(
 ) -> motion_lib.ReferenceMotion:
   """Constant height and speed; only the contacts tell walk from hop."""
   distance = _WALK_SPEEDS[direction] * _WALK_DURATION
-  end = np.append(distance * np.array(_DIRECTIONS[direction]), STAND_HEIGHT)
-  start = np.array([0.0, 0.0, STAND_HEIGHT])
+  end = np.append(
+    distance * np.array(_DIRECTIONS[direction]), constants.STAND_HEIGHT
+  )
+  start = np.array([0.0, 0.0, constants.STAND_HEIGHT])
   phases = np.linspace(0.0, 1.0, len(contacts))
   return motion_lib.ReferenceMotion(
     name=f'{name}_{direction}',
@@ -132,7 +133,7 @@ def _turn(side: str) -> motion_lib.ReferenceMotion:
     kind=motion_lib.PERIODIC,
     duration=_WALK_DURATION,
     phases=np.array([0.0, 0.5, 1.0]),
-    positions=np.tile([0.0, 0.0, STAND_HEIGHT], (3, 1)),
+    positions=np.tile([0.0, 0.0, constants.STAND_HEIGHT], (3, 1)),
     orientations=np.stack([np.cos(halves), zeros, zeros, np.sin(halves)], 1),
     contacts=contacts if side == 'left' else contacts[:, ::-1],
     mirror=f'turn_{_MIRRORED[side]}',

@@ -11,8 +11,8 @@ import numpy as np
 from scipy.spatial import transform
 
 from dmc_multimode.modes import motion as motion_lib
+from dmc_multimode.utils import constants
 
-_GRAVITY = 9.81  # m/s^2
 _LEAST_FLIGHT = 0.05  # Seconds.
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
@@ -256,7 +256,7 @@ class ReferenceBank:
     time = (span * self.durations[modes])[:, None]
     moved = self._position(*self._locate(modes, landings))
     moved = moved - self._position(*self._locate(modes, start))
-    return moved / time + 0.5 * time * np.array([0.0, 0.0, _GRAVITY])
+    return moved / time + 0.5 * time * np.array([0.0, 0.0, constants.GRAVITY])
 
   def _keyframe_velocities(self) -> np.ndarray:
     """Returns `start_velocity` at the keyframes."""

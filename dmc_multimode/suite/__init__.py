@@ -8,7 +8,7 @@ Importing this module registers the domain, so that afterwards
 
 The actions of most tasks are joint targets; those of the tasks `reach_*` are
 modes, each commanded for a fraction of a second, and a trained policy is inside
-(see `reaching_env`).
+(see `reaching.environment`).
 """
 
 from typing import Any, Mapping
@@ -17,6 +17,8 @@ from dm_control import suite as dm_suite
 import dm_env
 
 from dmc_multimode.suite import multimode_biped
+
+__all__ = ['ALL_TASKS', 'DOMAIN', 'load', 'multimode_biped', 'register']
 
 DOMAIN = 'multimode_biped'
 ALL_TASKS: tuple[tuple[str, str], ...] = tuple(
@@ -48,7 +50,7 @@ def load(
     task_kwargs: for the task's factory: `time_limit`, `random`; `policy` of the
       tasks `reach_*`.
     environment_kwargs: for the environment's constructor.
-    visualize_reward: whether the robot's eye shows the reward.
+    visualize_reward: shows the reward in the colour of the robot's eye.
 
   Raises:
     ValueError: the domain or task is unknown; the message lists ours.

@@ -1,33 +1,15 @@
-"""Where legs put the feet: planar inverse kinematics and sway, no engine."""
+"""Kinematics of the legs, in a plane, and sway: no engine."""
 
 import numpy as np
 
+from dmc_multimode.utils import constants
+
 _LINK = 0.22  # Metres: thigh and calf alike.
 _CROUCH = np.deg2rad(54.0)  # Of the thigh from the vertical at zero angles.
-CROUCH_HEIGHT = 0.5  # Metres: of the trunk over the soles at zero angles.
 LOWEST, HIGHEST = 0.37, 0.67  # Metres: knees and reach set the bounds.
 _HIP_PITCH, _KNEE, _ANKLE = 2, 3, 4  # Of each leg's five joints.
 _HALF_WIDTH = 0.09  # Metres: of the feet from the trunk's middle.
-_GRAVITY = 9.81  # m/s^2
 _LIFT = 0.06  # Metres: of a swinging foot in the middle of a step.
-
-
-def standing(
-  height: np.ndarray, climb: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-  """Joints that put flat soles under the hips of an upright trunk.
-
-  Args:
-    height: of the trunk over the soles, metres, [N]; cut to what legs can do.
-    climb: vertical velocity of the trunk, m/s, [N].
-
-  Returns:
-    Joint angles, radians, and velocities, rad/s, that keep the soles where they
-    are, [N, 10] each.
-  """
-  both = lambda values: np.repeat(values[:, None], 2, axis=1)
-  nothing = np.zeros((len(height), 2))
-  return placing(nothing, both(height), nothing, both(climb))
 
 
 def placing(
@@ -36,7 +18,7 @@ def placing(
   forward_rate: np.ndarray,
   height_rate: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-  """Joints that put each flat sole where it should be below an upright trunk.
+  """Returns joints that put each flat sole somewhere below an upright trunk.
 
   Thigh and calf are equally long, so that both lean by one angle a from the
   line between hip and ankle, which is 2 l cos(a) long.
@@ -50,7 +32,9 @@ def placing(
   Returns:
     Joint angles, radians, and velocities, rad/s, [N, 10] each.
   """
-  shift = 2 * _LINK * np.cos(_CROUCH) - CROUCH_HEIGHT  # From trunk to hip.
+  shift = (
+    2 * _LINK * np.cos(_CROUCH) - constants.STAND_HEIGHT
+  )  # From trunk to hip.
   down = np.clip(height, LOWEST, HIGHEST) + shift
   length = np.hypot(forward, down)
   longest = HIGHEST + shift
@@ -76,7 +60,7 @@ def stepping(
   time: np.ndarray,
   length: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-  """Where the feet of a gait are, and how fast, in the middle of its stride.
+  """Returns places and velocities of a gait's feet in the middle of its stride.
 
   The foot that stands is passed by the trunk half-way through the step, when
   the other, which swings the same way forward, is highest.
@@ -104,7 +88,7 @@ def stepping(
 def sway(
   swinging: np.ndarray, time: np.ndarray, length: np.ndarray
 ) -> np.ndarray:
-  """Lateral velocity, to the left, that brings the trunk to the next step.
+  """Returns the lateral velocity, to the left, that leads to the next step.
 
   That of a linear inverted pendulum (Kajita et al. 2001) over the foot that
   stands, which takes the trunk from the middle between the feet to that foot
@@ -116,7 +100,7 @@ def sway(
   Returns:
     m/s, [N]; zero for the robots none of whose feet swings.
   """
-  rate = np.sqrt(_GRAVITY / CROUCH_HEIGHT)
+  rate = np.sqrt(constants.GRAVITY / constants.STAND_HEIGHT)
   side = swinging[:, 1].astype(float) - swinging[:, 0]  # Left stance: 1.
   scale = _HALF_WIDTH * rate / np.cosh(rate * length / 2)
   return -side * scale * np.sinh(rate * time)

@@ -9,7 +9,7 @@ from dm_control.locomotion.walkers import legacy_base
 import mujoco
 import numpy as np
 
-from dmc_multimode.modes import library
+from dmc_multimode.utils import constants
 from dmc_multimode.utils import resources
 
 SIDES = ('left', 'right')
@@ -58,7 +58,7 @@ class MiniBiped(legacy_base.Walker):
   def upright_pose(self) -> base.WalkerPose:
     """The crouch with both soles on the ground."""
     return base.WalkerPose(
-      qpos=np.zeros(len(JOINTS)), xpos=(0.0, 0.0, library.STAND_HEIGHT)
+      qpos=np.zeros(len(JOINTS)), xpos=(0.0, 0.0, constants.STAND_HEIGHT)
     )
 
   @composer.cached_property

@@ -7,8 +7,7 @@ import pytest
 
 from dmc_multimode.modes import library
 from dmc_multimode.modes import reference
-
-_GRAVITY = 9.81  # m/s^2
+from dmc_multimode.utils import constants
 
 
 def _speed(name: str) -> np.ndarray:
@@ -76,7 +75,7 @@ def test_leap_flies_about_as_gravity_allows() -> None:
   takeoff = int(np.flatnonzero(motion.contacts[:, 0] == 0)[0])
   landing = int(np.flatnonzero(motion.contacts[:, 0] == 0)[-1]) + 1
   flight = motion.duration * (motion.phases[landing] - motion.phases[takeoff])
-  rise = _GRAVITY * flight**2 / 8
+  rise = constants.GRAVITY * flight**2 / 8
   assert rise == pytest.approx(heights.max() - heights[takeoff], abs=0.05)
 
 
@@ -97,7 +96,7 @@ def test_jumps_end_behind_their_edge(name: str, height: float) -> None:
   assert jump.ledge is not None
   assert jump.ledge.height == height
   x, _, z = jump.positions[-1]
-  assert z == pytest.approx(library.STAND_HEIGHT + height, abs=1e-7)
+  assert z == pytest.approx(constants.STAND_HEIGHT + height, abs=1e-7)
   assert x > jump.ledge.edge
   assert jump.takeoff > 0
 
@@ -108,8 +107,8 @@ def test_step_down_falls_as_gravity_has_it() -> None:
   takeoff, middle, touchdown = jump.positions[index : index + 3, 2]
   times = jump.duration * np.diff(jump.phases[index : index + 3])
   fall = times.sum()
-  climb = (touchdown - takeoff) / fall + _GRAVITY * fall / 2
-  expected = takeoff + times[0] * (climb - _GRAVITY * times[0] / 2)
+  climb = (touchdown - takeoff) / fall + constants.GRAVITY * fall / 2
+  expected = takeoff + times[0] * (climb - constants.GRAVITY * times[0] / 2)
   assert middle == pytest.approx(expected, abs=0.03)
 
 

@@ -8,6 +8,7 @@ from dm_control import composer
 import mujoco
 import numpy as np
 
+from dmc_multimode.utils import constants
 from dmc_multimode.walkers import kinematics
 from dmc_multimode.walkers import mini_biped
 
@@ -25,11 +26,20 @@ def _model() -> mujoco.MjModel:
   return mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
 
 
+def _standing_joints(
+  height: np.ndarray, climb: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+  """Joints that put flat soles under the hips of an upright trunk."""
+  both = lambda values: np.repeat(values[:, None], 2, axis=1)
+  nothing = np.zeros((len(height), 2))
+  return kinematics.placing(nothing, both(height), nothing, both(climb))
+
+
 def _standing(height: float, climb: float = 0.0) -> mujoco.MjData:
   """The robot at a height, climbing at some speed, with such legs."""
   model = _model()
   data = mujoco.MjData(model)
-  angles, rates = kinematics.standing(np.array([height]), np.array([climb]))
+  angles, rates = _standing_joints(np.array([height]), np.array([climb]))
   data.qpos[2], data.qpos[7:] = height, angles[0]
   data.qvel[2], data.qvel[6:] = climb, rates[0]
   mujoco.mj_forward(model, data)
@@ -55,7 +65,7 @@ class StandingTest(parameterized.TestCase):
 
   @parameterized.parameters(*_HEIGHTS)
   def test_soles_stay_under_the_hips(self, height: float) -> None:
-    crouch, data = _standing(kinematics.CROUCH_HEIGHT), _standing(height)
+    crouch, data = _standing(constants.STAND_HEIGHT), _standing(height)
     for side in mini_biped.SIDES:
       np.testing.assert_allclose(
         _sole(data, side)[:, :2], _sole(crouch, side)[:, :2], atol=1e-6
@@ -75,15 +85,15 @@ class StandingTest(parameterized.TestCase):
       np.testing.assert_allclose(velocity, np.zeros(6), atol=1e-5)
 
   def test_crouch_is_zero(self) -> None:
-    angles, rates = kinematics.standing(
-      np.array([kinematics.CROUCH_HEIGHT]), np.zeros(1)
+    angles, rates = _standing_joints(
+      np.array([constants.STAND_HEIGHT]), np.zeros(1)
     )
     np.testing.assert_allclose(angles, np.zeros((1, 10)), atol=1e-12)
     np.testing.assert_array_equal(rates, np.zeros((1, 10)))
 
   def test_legs_are_alike_and_joints_within_their_ranges(self) -> None:
     heights = np.linspace(kinematics.LOWEST, kinematics.HIGHEST, 20)
-    angles, rates = kinematics.standing(heights, np.ones(20))
+    angles, rates = _standing_joints(heights, np.ones(20))
     for values in (angles, rates):
       np.testing.assert_array_equal(values[:, :5], values[:, 5:])
       np.testing.assert_array_equal(values[:, :2], np.zeros((20, 2)))
@@ -99,17 +109,17 @@ class StandingTest(parameterized.TestCase):
     self, height: float, bound: float
   ) -> None:
     climb = np.array([0.5])
-    found = kinematics.standing(np.array([height]), climb)
-    expected = kinematics.standing(np.array([bound]), climb)
+    found = _standing_joints(np.array([height]), climb)
+    expected = _standing_joints(np.array([bound]), climb)
     np.testing.assert_array_equal(found, expected)
     self.assertTrue(np.isfinite(found).all())
 
   def test_every_row_by_itself(self) -> None:
     heights, climbs = np.array([0.3, 0.45, 0.9]), np.array([0.0, -1.0, 1.0])
     kept = heights.copy()
-    together = kinematics.standing(heights, climbs)
+    together = _standing_joints(heights, climbs)
     for i in range(3):
-      alone = kinematics.standing(heights[i : i + 1], climbs[i : i + 1])
+      alone = _standing_joints(heights[i : i + 1], climbs[i : i + 1])
       for one, other in zip(together, alone, strict=True):
         np.testing.assert_array_equal(one[i], other[0])
     np.testing.assert_array_equal(heights, kept)
@@ -133,7 +143,7 @@ class PlacingTest(parameterized.TestCase):
     )
     data.qpos[2], data.qpos[7:], data.qvel[6:] = height, angles[0], rates[0]
     mujoco.mj_forward(model, data)
-    crouch, velocity = _standing(kinematics.CROUCH_HEIGHT), np.zeros(6)
+    crouch, velocity = _standing(constants.STAND_HEIGHT), np.zeros(6)
     for side, x, z, moved in (
       ('left', forward, 0.0, (rate, 0.0, 0.3)),
       ('right', 0.0, 0.05, (0.0, 0.0, -0.4)),
@@ -187,7 +197,7 @@ class SteppingTest(parameterized.TestCase):
         if i == round(length / dt / 2):
           self.assertAlmostEqual(v, 0.0, places=3)
           self.assertBetween(side * y, 0.0, 0.09)
-        v += dt * 9.81 / kinematics.CROUCH_HEIGHT * (y - foot)
+        v += dt * 9.81 / constants.STAND_HEIGHT * (y - foot)
         y += dt * v
       self.assertAlmostEqual(y, 0.0, places=3)
       self.assertAlmostEqual(v, at(length / 2), places=3)

@@ -8,8 +8,8 @@ from torch import nn
 
 from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes import reference
+from dmc_multimode.utils import constants
 
-CONTROL_TIMESTEP = 0.03  # Seconds between the steps of a sampled motion.
 POSITION = slice(0, 3)  # Columns of the features.
 ORIENTATION = slice(3, 7)
 _NUM_POSE_FEATURES = 7
@@ -30,7 +30,7 @@ def features(
     continuous) and, with `use_contacts`, the feet's contacts (zero where a mode
     has none).
   """
-  steps = max(2, round(motion.duration / CONTROL_TIMESTEP) + 1)
+  steps = max(2, round(motion.duration / constants.CONTROL_TIMESTEP) + 1)
   sampled = reference.sample(motion, np.linspace(0.0, 1.0, steps))
   orientation = sampled.orientation
   flips = np.sum(orientation[1:] * orientation[:-1], axis=-1) < 0

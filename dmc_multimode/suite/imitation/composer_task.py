@@ -114,12 +114,12 @@ class Imitation(composer.Task):
 
   @property
   def observation(self) -> dict[str, np.ndarray]:
-    """What the next action sees: `observations.layout`'s parts, [1, size]."""
+    """Parts of `observations.layout` for the next action, [1, size] each."""
     return dict(self._parts)
 
   @property
   def visualize_reward(self) -> bool:
-    """Whether the robot's eye is coloured by the reward."""
+    """Colours the robot's eye by the reward."""
     return self._visualize_reward
 
   @visualize_reward.setter
@@ -133,7 +133,7 @@ class Imitation(composer.Task):
 
   @property
   def outcome(self) -> imitation_core.Outcome | None:
-    """What the last step led to, or None right after a reset."""
+    """Outcome of the last step, or None right after a reset."""
     return self._outcome
 
   def action_spec(self, physics: Any) -> Any:
@@ -156,7 +156,7 @@ class Imitation(composer.Task):
     self._observe(physics)
 
   def _finish_episode(self) -> None:
-    """Reports an episode's normalised return; Algorithm 1 learns from it."""
+    """Hands the episode before a reset, if any, to Algorithm 1."""
     if self._episode is None or self._outcome is None:
       return
     highest = self.config.gains.highest * self.config.horizon
@@ -244,7 +244,7 @@ class Imitation(composer.Task):
     return float(self._outcome.reward[0]) if self._outcome else 0.0
 
   def should_terminate_episode(self, physics: Any) -> bool:
-    """Whether the reference is lost, or the robot has fallen."""
+    """Returns whether a limit of `TerminationLimits` is crossed."""
     del physics
     return bool(self._outcome and self._outcome.cause[0])
 
@@ -254,7 +254,7 @@ class Imitation(composer.Task):
 
   @property
   def termination_cause(self) -> str:
-    """Why the episode ended early; 'none' while it goes on."""
+    """Cause of an early end, one of `CAUSES`; 'none' while it goes on."""
     cause = self._outcome.cause[0] if self._outcome else 0
     return terminations.CAUSES[cause]
 

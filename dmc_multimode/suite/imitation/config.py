@@ -9,6 +9,7 @@ from dmc_multimode.suite.imitation import events as events_lib
 from dmc_multimode.suite.imitation import rewards
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import config as config_lib
+from dmc_multimode.utils import constants
 
 
 @pydantic_dataclasses.dataclass(frozen=True, config=config_lib.STRICT)
@@ -36,7 +37,7 @@ class ImitationConfig:
   limits: terminations.TerminationLimits = terminations.TerminationLimits()
   events: events_lib.TrainingEvents = events_lib.TrainingEvents()
   time_limit: config_lib.Positive = 4.5
-  control_timestep: config_lib.Positive = 0.03
+  control_timestep: config_lib.Positive = constants.CONTROL_TIMESTEP
   physics_timestep: config_lib.Positive = 0.005
   servo_inertia: bool = True
   commands_from_ground: bool = True

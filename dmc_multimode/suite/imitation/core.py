@@ -31,7 +31,7 @@ _ANYWHERE = np.eye(7 + observations.NUM_JOINTS)[3]  # Qpos: unturned.
 
 
 class Outcome(NamedTuple):
-  """What a control step led to, [B] each.
+  """Outcome of a control step, [B] each.
 
   Attributes:
     reward: in [0, 1].

@@ -1,4 +1,4 @@
-"""What an episode is to practise: its mode schedule, drawn or given."""
+"""Mode schedules that episodes practise, drawn or given, and their ends."""
 
 from typing import Mapping, NamedTuple, Protocol
 
@@ -24,7 +24,7 @@ class Episodes(NamedTuple):
 
 
 class Outcomes(Protocol):
-  """What is learned from N finished episodes, wherever they were."""
+  """Outcomes of N finished episodes, wherever they were."""
 
   @property
   def initial(self) -> np.ndarray:
@@ -40,7 +40,7 @@ class Outcomes(Protocol):
 
   @property
   def causes(self) -> np.ndarray:
-    """Why they ended, 0 for the time limit, [N]."""
+    """Causes of their ends, 0 for the time limit, [N]."""
 
 
 class EpisodeBatch(NamedTuple):

@@ -1,4 +1,4 @@
-"""What only serves a training: pushes, help, bonuses, obstacles, slack.
+"""Events that only serve a training: pushes, assistance, bonuses, obstacles.
 
 A task is evaluated without: `dataclasses.replace(config, events=NONE)`. All of
 it but the initial states changes along a training, by its environment steps
@@ -28,7 +28,7 @@ _ZERO = schedule.constant(0.0)
 
 @pydantic_dataclasses.dataclass(frozen=True, config=config.STRICT)
 class TrainingEvents:
-  """What happens to robots in a training alone.
+  """Events that happen to robots in a training alone.
 
   Attributes:
     reference_starts: share of the episodes that start on the reference at a

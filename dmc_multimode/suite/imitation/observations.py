@@ -1,4 +1,4 @@
-"""What the policy and the value function see: pure, with a leading batch axis.
+"""Observations of the policy and the value function: pure, batched.
 
 `POLICY_TERMS` and `CRITIC_TERMS` declare every part of the flat observation, in
 order: the policy's are [clock (2), command (n_m), state (31)] as in the paper.
@@ -26,7 +26,7 @@ _SIGHT = 1.0  # Metres: what is farther ahead matters little.
 
 
 class PolicyView(NamedTuple):
-  """What the policy's terms are computed of; see `policy_view`.
+  """Quantities that the policy's terms are computed of; see `policy_view`.
 
   Attributes:
     qpos: free joint (world position in metres, quaternion), then the joints in
@@ -52,7 +52,7 @@ class PolicyView(NamedTuple):
 
 
 class CriticView(NamedTuple):
-  """What the critic's terms are computed of.
+  """Quantities that the critic's terms are computed of.
 
   Attributes:
     position, reference: of the trunk, world metres, [B, 3].

@@ -1,4 +1,4 @@
-"""What stands in the way of a mode while it is practised: pure draws.
+"""Obstacles in the way of a mode while it is practised: pure draws.
 
 A policy that only ever ran on level ground, and found its block where the
 reference has it, trips over everything else. So in a training some commands
@@ -33,7 +33,7 @@ _LEDGE_RISE = (-0.2, 0.04)
 
 
 class Obstacles(NamedTuple):
-  """What N robots meet next; all in metres.
+  """The next obstacles of N robots; all in metres.
 
   Attributes:
     edge: where the next segment starts, ahead of the anchor, [N]; infinite

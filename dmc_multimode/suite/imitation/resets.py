@@ -7,6 +7,7 @@ from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.suite.imitation import commands
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import observations
+from dmc_multimode.utils import constants
 from dmc_multimode.walkers import kinematics
 
 _SLOWEST_START = 0.5  # Share of the reference's velocity.
@@ -45,11 +46,11 @@ def initial_state(
   clear = terrain_lib.clearance_height(terrain, position[:, 0], _FOOT_REACH)
   airborne = tracker.airborne(ids)
   # In flight the legs are drawn up; even so they must clear a block below.
-  lowest = np.where(airborne, kinematics.CROUCH_HEIGHT, kinematics.LOWEST)
+  lowest = np.where(airborne, constants.STAND_HEIGHT, kinematics.LOWEST)
   position[:, 2] = np.maximum(position[:, 2], clear + lowest)
   swinging, time, length = tracker.swing_timing(ids)
   swinging &= on_reference[:, None]
-  height = np.where(airborne, kinematics.CROUCH_HEIGHT, position[:, 2] - clear)
+  height = np.where(airborne, constants.STAND_HEIGHT, position[:, 2] - clear)
   climb = np.where(airborne, 0.0, velocity[:, 2])
   angles, rates = _leg_joints(
     velocity[:, 0], height, climb, swinging, time, length

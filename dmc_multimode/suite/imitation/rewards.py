@@ -17,7 +17,7 @@ from dmc_multimode.utils import config
 
 
 class RobotState(NamedTuple):
-  """What errors are measured of, with a leading batch axis.
+  """Quantities that errors are measured of, with a leading batch axis.
 
   Attributes:
     qpos: free joint (world position in metres, quaternion), then the joints in

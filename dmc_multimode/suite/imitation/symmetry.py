@@ -16,7 +16,7 @@ from dmc_multimode.walkers import mini_biped
 
 
 class MirrorImage(NamedTuple):
-  """How to mirror: x'[i] = signs[i] * x[order[i]].
+  """Mirror image x'[i] = signs[i] * x[order[i]].
 
   Attributes:
     observation_order, observation_signs: of flat observations, [D].

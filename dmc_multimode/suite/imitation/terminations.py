@@ -1,4 +1,4 @@
-"""When an imitation episode ends early: pure, with a leading batch axis.
+"""Early ends of an imitation episode: pure, with a leading batch axis.
 
 Early termination decides whether moving modes are learned at all. Orientation
 alone pays half of the reward, so that a policy which stands still in every mode

@@ -15,11 +15,11 @@ import numpy as np
 
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track as track_lib
-from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.suite.imitation import config as config_lib
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import terminations
+from dmc_multimode.utils import constants
 
 _NEAR_X, _NEAR_Z = 0.3, 0.12  # Metres from the goal that count as there.
 _UPRIGHT = 0.7  # Cosine of the trunk's tilt.
@@ -123,7 +123,7 @@ def problem(
   if not last:  # Nothing to cross.
     return ReachingConfig(seed=seed)
   x = float(terrain.starts[0, last]) + _BEYOND
-  z = float(terrain.tops[0, last]) + library.STAND_HEIGHT
+  z = float(terrain.tops[0, last]) + constants.STAND_HEIGHT
   return ReachingConfig(
     (x, 0.0, z), round(x / _SPEED / _RANDOM_KNOT), _RANDOM_KNOT, seed
   )

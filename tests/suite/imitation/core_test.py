@@ -25,6 +25,7 @@ from dmc_multimode.suite.imitation import core as imitation_core
 from dmc_multimode.suite.imitation import episodes
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import obstacles
+from dmc_multimode.utils import constants
 from dmc_multimode.utils import schedule as schedules
 from dmc_multimode.walkers import kinematics
 from dmc_multimode.walkers import mini_biped
@@ -207,7 +208,7 @@ class ReferenceStartTest(parameterized.TestCase):
     top = starts.worlds.core.terrain.tops[:, :2].max(axis=1)
     lifted &= starts.tracker.airborne(np.arange(len(lifted)))
     np.testing.assert_allclose(
-      position[lifted, 2], top[lifted] + kinematics.CROUCH_HEIGHT
+      position[lifted, 2], top[lifted] + constants.STAND_HEIGHT
     )
 
   def test_velocity_is_the_reference_s_or_slower(self) -> None:
@@ -276,7 +277,7 @@ class StartFromRestTest(parameterized.TestCase):
   ) -> None:
     starts = _Starts(0.0, obstacle_share)
     expected = np.zeros((len(starts.modes), 17))
-    expected[:, 2], expected[:, 3] = library.STAND_HEIGHT, 1.0
+    expected[:, 2], expected[:, 3] = constants.STAND_HEIGHT, 1.0
     np.testing.assert_allclose(starts.worlds.qpos, expected, atol=1e-12)
     np.testing.assert_array_equal(
       starts.worlds.qvel, np.zeros((len(starts.modes), 16))

@@ -1,0 +1,5 @@
+"""Numbers that more than one room relies on."""
+
+GRAVITY = 9.81  # m/s^2
+CONTROL_TIMESTEP = 0.03  # Seconds between the actions of a policy.
+STAND_HEIGHT = 0.5  # Metres from the soles to the trunk's centre in the crouch.
