@@ -1,4 +1,4 @@
-"""rsl_rl's PPO on BatchedImitation; needs the extra `bench`."""
+"""Learns by rsl_rl's PPO on BatchedImitation; needs the extra `bench`."""
 
 # Optional, and without type information of its own.
 # mypy: disable-error-code="import-not-found,import-untyped"
@@ -17,69 +17,18 @@ from dmc_multimode.suite.imitation import batched_env
 
 try:
   from rsl_rl import algorithms
-  from rsl_rl import env as rsl_rl_env
   from rsl_rl import models
   from rsl_rl import modules
   from rsl_rl import runners
   import tensordict
+
+  from dmc_multimode.suite.wrappers import rsl_rl_env
 except ModuleNotFoundError as error:
   raise learners.missing(error) from None
 
-_SEEN, _PRIVILEGED = 'policy', 'privileged'  # Groups of observations.
 _DEVICE = 'cpu'
 _ACTIVATIONS = {'silu': 'swish'}  # Where it has another name for one.
 _MAX_STD = 1e6  # Radians; none.
-
-
-class VecEnv(rsl_rl_env.VecEnv):
-  """The worlds of a batch behind rsl_rl's interface."""
-
-  def __init__(
-    self, environment: batched_env.BatchedImitation, reward_scale: float
-  ):
-    """Takes over an environment and resets it.
-
-    Args:
-      environment: B worlds that reset by themselves. Its observations may end
-        with privileged information, which then is a group of its own.
-      reward_scale: rewards are multiplied by it.
-    """
-    self._environment, self._scale = environment, reward_scale
-    size = environment.observation_spec().shape[0]
-    self._size = size - environment.privileged_size
-    self.num_envs = environment.num_worlds
-    self.num_actions = environment.action_spec().shape[0]
-    self.max_episode_length = environment.config.horizon
-    self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.int64)
-    self.device = _DEVICE
-    self.cfg: dict[str, Any] = {}
-    self._observation = environment.reset()
-
-  def get_observations(self) -> tensordict.TensorDict:
-    """Returns float32 [B, D], and what is privileged as [B, P]."""
-    seen = torch.from_numpy(self._observation)
-    groups = {_SEEN: seen[:, : self._size]}
-    if self._size < seen.shape[1]:
-      groups[_PRIVILEGED] = seen[:, self._size :]
-    return tensordict.TensorDict(groups, batch_size=[self.num_envs])
-
-  def step(
-    self, actions: torch.Tensor
-  ) -> tuple[tensordict.TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
-    """Applies actions [B, A]; see `rsl_rl.env.VecEnv.step`."""
-    step = self._environment.step(actions.numpy())
-    self._observation = step.observation
-    rewards = (self._scale * step.reward).astype(np.float32)
-    done = torch.from_numpy(step.last)
-    self.episode_length_buf += 1
-    self.episode_length_buf[done] = 0
-    time_outs = torch.from_numpy(step.last & (step.discount > 0))
-    return (
-      self.get_observations(),
-      torch.from_numpy(rewards),
-      done.long(),
-      {'time_outs': time_outs},
-    )
 
 
 def settings(
@@ -154,7 +103,7 @@ class Learner:
   ):
     """Learns in `environment`, from the weights of `network` on."""
     self.environment = environment
-    worlds = VecEnv(environment, reward_scale)
+    worlds = rsl_rl_env.RslRlVecEnv(environment, reward_scale)
     groups = [str(name) for name in worlds.get_observations().keys()]
     torch.manual_seed(seed)  # Of the exploration and the minibatches.
     with contextlib.redirect_stdout(io.StringIO()):  # It prints its networks.
@@ -202,6 +151,7 @@ class RecurrentLearner(Learner):
 @torch.no_grad()
 def _act(actor: Any, observations: np.ndarray) -> np.ndarray:
   seen = tensordict.TensorDict(
-    {_SEEN: torch.from_numpy(observations)}, batch_size=[len(observations)]
+    {rsl_rl_env.POLICY: torch.from_numpy(observations)},
+    batch_size=[len(observations)],
   )
   return actor(seen).numpy()

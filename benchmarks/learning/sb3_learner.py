@@ -1,4 +1,4 @@
-"""Stable-Baselines3's PPO on BatchedImitation; needs the extra `bench`."""
+"""Learns by Stable-Baselines3's PPO; needs the extra `bench`."""
 
 # Optional: not always there to be checked against.
 # mypy: disable-error-code="import-not-found"
@@ -14,90 +14,14 @@ from dmc_multimode.agents.ppo import networks
 from dmc_multimode.suite.imitation import batched_env
 
 try:
-  from gymnasium import spaces
   import stable_baselines3
   from stable_baselines3.common import buffers
   from stable_baselines3.common import logger
   from stable_baselines3.common import vec_env
+
+  from dmc_multimode.suite.wrappers import stable_baselines3_env
 except ModuleNotFoundError as error:
   raise learners.missing(error) from None
-
-
-class VecEnv(vec_env.VecEnv):
-  """The worlds of a batch behind the library's interface.
-
-  Privileged information is left out: the library has no place for it.
-  """
-
-  def __init__(
-    self, environment: batched_env.BatchedImitation, reward_scale: float
-  ):
-    """Takes over an environment.
-
-    Args:
-      environment: B worlds that reset by themselves.
-      reward_scale: rewards are multiplied by it.
-    """
-    self._environment, self._scale = environment, reward_scale
-    size = environment.observation_spec().shape[0]
-    self._size = size - environment.privileged_size
-    bounds = environment.action_spec()
-    self._actions = np.zeros((environment.num_worlds, *bounds.shape))
-    super().__init__(
-      environment.num_worlds,
-      spaces.Box(-np.inf, np.inf, (self._size,), np.float32),
-      spaces.Box(
-        bounds.minimum.astype(np.float32), bounds.maximum.astype(np.float32)
-      ),
-    )
-
-  def reset(self) -> np.ndarray:
-    """Begins an episode everywhere; returns float32 [B, D]."""
-    return self._environment.reset()[:, : self._size]
-
-  def step_async(self, actions: np.ndarray) -> None:
-    """Takes actions [B, A]."""
-    self._actions = actions
-
-  def step_wait(
-    self,
-  ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-    """Applies them; returns observations, rewards, ends and infos."""
-    step = self._environment.step(self._actions)
-    infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-    ends = step.final_observation[:, : self._size]
-    for world, end in zip(step.results.worlds, ends, strict=True):
-      infos[world] = {
-        'terminal_observation': end,
-        'TimeLimit.truncated': bool(step.discount[world] > 0),
-      }
-    rewards = (self._scale * step.reward).astype(np.float32)
-    return step.observation[:, : self._size], rewards, step.last, infos
-
-  def close(self) -> None:
-    """Has nothing to end."""
-
-  def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-    """Returns an attribute for each of the worlds `indices`."""
-    if attr_name == 'render_mode':
-      return [None for _ in self._get_indices(indices)]
-    raise AttributeError(f'The worlds of a batch have no {attr_name}.')
-
-  def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-    """Is not supported: worlds of a batch are no objects."""
-    raise NotImplementedError(attr_name)
-
-  def env_method(
-    self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
-  ) -> list[Any]:
-    """Is not supported: worlds of a batch are no objects."""
-    raise NotImplementedError(method_name)
-
-  def env_is_wrapped(
-    self, wrapper_class: Any, indices: Any = None
-  ) -> list[bool]:
-    """Returns that none is."""
-    return [False for _ in self._get_indices(indices)]
 
 
 def settings(ppo: ppo_config.PPOConfig, num_worlds: int) -> dict[str, Any]:
@@ -150,7 +74,8 @@ class Learner:
     self.environment = environment
     self._samples = environment.num_worlds * ppo.rollout_length
     self._worlds = vec_env.VecNormalize(
-      VecEnv(environment, reward_scale), norm_reward=False
+      stable_baselines3_env.StableBaselines3VecEnv(environment, reward_scale),
+      norm_reward=False,
     )
     self.model = stable_baselines3.PPO(
       'MlpPolicy',
