@@ -27,7 +27,7 @@ from benchmarks import common
 from dmc_multimode import pretrained
 from dmc_multimode.agents import distributed
 from dmc_multimode.bin import app
-from dmc_multimode.experiments import ranks
+from dmc_multimode.experiments import launch
 from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import q_learning
 from dmc_multimode.planner import solver as planning
@@ -206,7 +206,7 @@ def _print(rows: Sequence[Row]) -> None:
 def main(argv: Sequence[str]) -> int:
   """Plans, prints, writes, with the other ranks if there are any."""
   del argv
-  return ranks.run(_plan)
+  return launch.run(_plan)
 
 
 def cli() -> None:

@@ -20,7 +20,7 @@ from absl import flags
 
 from dmc_multimode import pretrained
 from dmc_multimode.bin import app
-from dmc_multimode.experiments import setup
+from dmc_multimode.experiments import run_folder
 from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.utils import files as files_lib
 
@@ -93,7 +93,7 @@ def gather(
   if 'policy.json' not in files:
     raise FileNotFoundError(f'{policy} holds no policy.')
   provenance = json.loads(files['policy.json'])['provenance']
-  described = (run / setup.CONFIG_FILE).read_text(encoding='utf-8')
+  described = (run / run_folder.CONFIG_FILE).read_text(encoding='utf-8')
   config = json.loads(described)['run']
   # Other fields may have been changed along the run; the policy knows its own.
   if any(provenance['run'][name] != config[name] for name in _IDENTITY):

@@ -16,7 +16,7 @@ from absl import flags
 
 from dmc_multimode.agents import distributed
 from dmc_multimode.bin import app
-from dmc_multimode.experiments import ranks
+from dmc_multimode.experiments import launch
 from dmc_multimode.utils import files
 from dmc_multimode.viewer import gl
 
@@ -149,7 +149,7 @@ def main(argv: Sequence[str]) -> int:
   """Evaluates and reports, with the other ranks if there are any."""
   del argv
   no_videos = _why_no_videos() if _HTML.value else ''
-  return ranks.run(functools.partial(_evaluate, no_videos))
+  return launch.run(functools.partial(_evaluate, no_videos))
 
 
 def cli() -> None:

@@ -121,15 +121,15 @@ def read(config: Any, prefix: str) -> Any:
     raise ValueError(f'--{prefix}_*: {config_lib.describe(error)}') from error
 
 
-def overrides(config: Any, prefix: str) -> list[str]:
-  """Names of the flags of `config` that were given."""
-  found = []
+def given(config: Any, prefix: str) -> dict[str, Any]:
+  """Returns the values of those flags of `config` that were given, by name."""
+  found: dict[str, Any] = {}
   for field, value in _fields(config):
     name = f'{prefix}_{field}'
     if _is_nested(value):
-      found += overrides(value, name)
+      found |= given(value, name)
     elif FLAGS[name].present:
-      found.append(name)
+      found[name] = FLAGS[name].value
   return found
 
 

@@ -1,5 +1,6 @@
 """Everything that decides a run's result, in one dataclass."""
 
+import dataclasses
 import json
 from typing import Annotated, Any, Mapping
 
@@ -58,6 +59,41 @@ class RunConfig:
       assistance_steps=2_000_000,
     ),
   )
+
+
+def overridden(
+  config: Any, changes: Mapping[str, Any], prefix: str = ''
+) -> Any:
+  """Returns a configuration with some values changed.
+
+  Args:
+    config: a `RunConfig`, or a part of it.
+    changes: values by the names of their flags: `ppo_discount` is the field
+      `discount` of the part `ppo`.
+    prefix: of these names, for errors.
+
+  Raises:
+    ValueError: in one line, there is no such field, or it refuses the value.
+  """
+  rest, new = dict(changes), {}
+  for field in dataclasses.fields(config):
+    name, value = field.name, getattr(config, field.name)
+    if name in rest:
+      new[name] = rest.pop(name)
+    elif dataclasses.is_dataclass(value):
+      inner = {
+        key.removeprefix(f'{name}_'): rest.pop(key)
+        for key in list(rest)
+        if key.startswith(f'{name}_')
+      }
+      if inner:
+        new[name] = overridden(value, inner, f'{prefix}{name}_')
+  if rest:
+    raise ValueError(f'{prefix}{next(iter(rest))} is no setting of a run')
+  try:
+    return dataclasses.replace(config, **new)
+  except pydantic.ValidationError as error:
+    raise ValueError(f'{prefix}{config_lib.describe(error)}') from error
 
 
 def to_dict(config: RunConfig) -> dict[str, Any]:

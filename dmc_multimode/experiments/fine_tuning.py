@@ -13,7 +13,7 @@ import numpy as np
 
 from dmc_multimode import pretrained
 from dmc_multimode.experiments import config as run_config
-from dmc_multimode.experiments import setup
+from dmc_multimode.experiments import run_folder
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set as mode_set_lib
@@ -202,9 +202,9 @@ def find_encoder(name: str) -> pathlib.Path:
   path = pathlib.Path(name)
   folders = [
     path,  # A policy that ships with its encoder.
-    path / setup.ENCODER,  # A run.
-    path.parent / setup.ENCODER,  # RUN/policy.
-    path.parent.parent / setup.ENCODER,  # RUN/policies/STEPS.
+    path / run_folder.ENCODER,  # A run.
+    path.parent / run_folder.ENCODER,  # RUN/policy.
+    path.parent.parent / run_folder.ENCODER,  # RUN/policies/STEPS.
   ]
   if not any(
     (folder / policy_lib.DESCRIPTION_FILE).is_file()

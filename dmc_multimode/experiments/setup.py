@@ -1,8 +1,6 @@
-"""What a training run is made of: its configuration, and its parts."""
+"""Connects the parts of a training run."""
 
 import dataclasses
-import json
-import pathlib
 from typing import Any
 
 import torch
@@ -16,22 +14,14 @@ from dmc_multimode.agents.ppo import networks
 from dmc_multimode.arenas import track
 from dmc_multimode.experiments import config as run_config
 from dmc_multimode.experiments import symmetry
-from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import episodes
-from dmc_multimode.utils import files
 
-CONFIG_FILE = 'config.json'
-ENCODER = 'encoder'  # The folder of a run's mode encoder.
-INITIAL = 'initial'  # The folder of the policy that a run has begun with.
 _FLAT_SEGMENTS = 2  # The ground and the step of at most one command.
 _OBSTACLE_SEGMENTS = 3  # The ground and what each of two commands may meet.
-
-
-Ingredients = tuple[run_config.RunConfig, mode_set_lib.ModeSet]
 
 
 def check_ranks(config: run_config.RunConfig, ranks: int) -> None:
@@ -41,73 +31,6 @@ def check_ranks(config: run_config.RunConfig, ranks: int) -> None:
       f'num_worlds {config.num_worlds} is the total over all processes: '
       f'{ranks} of them cannot have equally many.'
     )
-
-
-def save_run(
-  directory: pathlib.Path,
-  config: run_config.RunConfig,
-  mode_set: mode_set_lib.ModeSet,
-) -> None:
-  """Writes what a run needs to be resumed, besides its checkpoint."""
-  text = describe(config, mode_set)
-  files.write(directory / CONFIG_FILE, text.encode())
-
-
-def describe(
-  config: run_config.RunConfig,
-  mode_set: mode_set_lib.ModeSet,
-) -> str:
-  """Returns JSON from which `parse` makes the same again."""
-  description = {
-    'run': run_config.to_dict(config),
-    **mode_files.mode_set_to_dict(mode_set),
-  }
-  return json.dumps(description, indent=1)
-
-
-def parse(text: str) -> Ingredients:
-  """Returns what `describe` was given; raises ValueError for anything else."""
-  try:
-    description = json.loads(text)
-    mode_set = mode_files.mode_set_from_dict(description)
-    return run_config.from_dict(description['run']), mode_set
-  except KeyError as error:
-    raise ValueError(f'it lacks {error}') from error
-  except (TypeError, OverflowError, RecursionError) as error:
-    raise ValueError(str(error)) from error
-
-
-def load_run(directory: pathlib.Path) -> Ingredients:
-  """Reads what `save_run` wrote.
-
-  Raises:
-    FileNotFoundError: the folder holds no run.
-    ValueError: the file is damaged.
-  """
-  path = directory / CONFIG_FILE
-  if not path.is_file():
-    raise FileNotFoundError(
-      f'{directory} holds no run to resume; start one without --resume.'
-    )
-  content = files.read_bounded(path)
-  try:
-    return parse(content.decode())
-  except ValueError as error:
-    raise ValueError(f'{path} is damaged: {error}') from error
-
-
-def load_initial(
-  directory: pathlib.Path, config: run_config.RunConfig
-) -> policy_lib.Policy | None:
-  """Reads the policy that the run in a folder has begun with, if any.
-
-  Raises:
-    FileNotFoundError: the run lacks it.
-    ValueError: it is damaged.
-  """
-  if not config.init_from:
-    return None
-  return policy_lib.load(directory / INITIAL)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

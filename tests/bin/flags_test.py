@@ -74,7 +74,7 @@ def test_values_given(parse: Any) -> None:
   rate = schedule.Schedule(0.0, 3.0, 1000, 2000)
   expected = _Config(_Gains(0.7), (32, 16), 'augment', 5, rate, False)
   assert config_flags.read(_Config(), 'x') == expected
-  assert config_flags.overrides(_Config(), 'x') == _NAMES
+  assert list(config_flags.given(_Config(), 'x')) == _NAMES
 
 
 def test_what_is_not_given_stays(parse: Any) -> None:
@@ -84,7 +84,7 @@ def test_what_is_not_given_stays(parse: Any) -> None:
   assert config_flags.read(config, 'x') == dataclasses.replace(
     config, kind='augment'
   )
-  assert config_flags.overrides(config, 'x') == ['x_kind']
+  assert config_flags.given(config, 'x') == {'x_kind': 'augment'}
 
 
 @pytest.mark.parametrize(

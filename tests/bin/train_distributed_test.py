@@ -15,6 +15,7 @@ from dmc_multimode import pretrained
 from dmc_multimode.agents import checkpointing
 from dmc_multimode.experiments import config as run_config
 from dmc_multimode.experiments import launch as launches
+from dmc_multimode.experiments import run_folder
 from dmc_multimode.experiments import setup
 from tests.bin import processes
 from tests.bin import short_run
@@ -174,7 +175,7 @@ def test_two_ranks_hold_one_network(two: Launch) -> None:
   worlds = [tensors[f'{p}environment/physics'] for p in ('', 'rank1/')]
   assert len(worlds[0]) == len(worlds[1]) == 4
   assert not torch.equal(*worlds)
-  config, _ = setup.load_run(two.run)
+  config, _ = run_folder.RunFolder(two.run).load()
   assert config.num_worlds == 8
   assert pretrained.load(two.run).provenance['steps'] == short_run.STEPS
 
@@ -285,8 +286,6 @@ def test_restarts(
   """A run of the same launch goes on; another launch must be asked to."""
   if began is not None:
     monkeypatch.setenv('TORCHELASTIC_RUN_ID', began)
-    launches.note(tmp_path)
+    launches.note(tmp_path / 'launch')
   monkeypatch.setenv('TORCHELASTIC_RUN_ID', now)
-  assert not launches.is_restart(tmp_path)  # There is no run yet.
-  (tmp_path / setup.CONFIG_FILE).touch()
-  assert launches.is_restart(tmp_path) == restart
+  assert launches.is_restart(tmp_path / 'launch') == restart

@@ -4,7 +4,7 @@ import csv
 import itertools
 import json
 import pathlib
-import pickle
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,7 +17,7 @@ import torch
 
 from dmc_multimode import pretrained
 from dmc_multimode.agents import checkpointing
-from dmc_multimode.experiments import setup
+from dmc_multimode.experiments import run_folder
 from tests.bin import processes
 from tests.bin import short_run
 from tests.bin import untrained
@@ -118,14 +118,14 @@ def _wait_for(condition: Callable[[], Any]) -> None:
 def test_folder_of_a_run(run_dir: pathlib.Path) -> None:
   found = {name.partition('/')[0] for name in _files(run_dir)}
   expected = {
-    setup.CONFIG_FILE,
+    run_folder.CONFIG_FILE,
     checkpointing.NAME,
     'policy',
     'metrics.csv',
     'tensorboard',
   }
   assert found == expected
-  config, mode_set = setup.load_run(run_dir)
+  config, mode_set = run_folder.RunFolder(run_dir).load()
   assert (config.num_worlds, config.threads, config.one_hot) == (8, 1, True)
   assert config.ppo.hidden_sizes == (16,)
   assert mode_set.names == ('idle', 'walk_forward')
@@ -182,21 +182,6 @@ def test_killed_run_goes_on_bit_for_bit(
   speed = {'steps_per_second': ''}
   rows = [{**row, **speed} for row in _rows(folder)]
   assert rows == [{**row, **speed} for row in _rows(run_dir)]
-
-
-def test_run_goes_on_to_more_steps(
-  train: processes.Binary, run_dir: pathlib.Path, tmp_path: pathlib.Path
-) -> None:
-  """In two parts, of which the first ends in between two rows."""
-  folder = tmp_path / 'parts'
-  flag = f'--run_dir={folder}'
-  assert train(flag, *_TINY, f'--steps={3 * _ITERATION}').code == 0
-  # Flags that say the same again are no contradiction.
-  done = train(flag, '--resume', *_TINY, f'--steps={_STEPS}')
-  assert f'Resuming at {3 * _ITERATION:,} steps.' in done.stdout
-  expected, _ = checkpointing.load_tensors(run_dir / checkpointing.NAME)
-  found, _ = checkpointing.load_tensors(folder / checkpointing.NAME)
-  assert all(torch.equal(expected[key], found[key]) for key in expected)
 
 
 def test_policies_are_kept_along_the_way(
@@ -269,32 +254,15 @@ def test_interrupt_stops_with_a_checkpoint(tmp_path: pathlib.Path) -> None:
   ('flags', 'message'),
   [
     (['--modes=idle,fly'], 'fly'),
-    (['--modes='], 'Unknown mode'),
-    (['--modes=idle,idle'], 'unique'),
-    (['--mode_file={tmp}/absent.yaml'], 'absent.yaml'),
     (['--mode_file={tmp}/bad.yaml'], 'bad.yaml:3:'),
-    (['--mode_file={tmp}'], 'cannot be read'),
     (['--encoder={tmp}/absent', '--noone_hot'], 'absent'),
     (['--steps=0'], 'steps'),
-    (['--steps=-32'], 'steps'),
-    (['--minutes=0'], 'minutes'),
     (['--minutes=nan'], 'minutes'),
-    (['--keep_every=-1'], 'keep_every must not be negative'),
+    (['--keep_every=-1'], 'keep_every'),
     (['--num_worlds=0'], 'num_worlds'),
-    (['--threads=-1'], 'threads'),
-    (['--seed=-1'], 'seed'),
-    (['--ppo_rollout_length=-4'], 'rollout_length'),
-    (['--ppo_hidden_sizes=16,-1'], 'hidden_sizes'),
-    (['--ppo_hidden_sizes=wide'], 'ppo_hidden_sizes'),
-    (['--ppo_discount=1.5'], 'discount'),
-    (['--ppo_target_kl=-1'], 'target_kl'),
-    (['--ppo_symmetry=both'], 'symmetry'),
     (['--ppo_symmetry=augment', '--modes=walk_left'], 'walk_right'),
-    (['--sampling_epsilon=-1'], 'epsilon'),
-    (['--task_time_limit=-4.5'], 'time_limit'),
     (['--task_physics_timestep=0.007'], 'physics_timestep'),
     (['--run_dir={tmp}/file/below'], 'file'),
-    (['--run_dir={tmp}/file'], 'file'),
     (['--resume'], 'without --resume'),
     pytest.param(
       ['--device=cuda'],
@@ -302,7 +270,6 @@ def test_interrupt_stops_with_a_checkpoint(tmp_path: pathlib.Path) -> None:
       marks=pytest.mark.skipif(torch.cuda.is_available(), reason='It is there'),
     ),
     (['--run_dir='], '--run_dir must name'),
-    (['idle'], "'idle'"),
   ],
   ids=lambda value: value if isinstance(value, str) else ' '.join(value),
 )
@@ -327,41 +294,11 @@ def test_bad_input(
   assert _files(tmp_path) == before
 
 
-@pytest.mark.parametrize(
-  ('flags', 'message'),
-  [
-    (['--steps=many'], 'steps'),
-    (['--ppo_wings=2'], 'ppo_wings'),
-  ],
-)
-def test_flags_that_absl_refuses(
-  train: processes.Binary,
-  tmp_path: pathlib.Path,
-  flags: list[str],
-  message: str,
-) -> None:
-  done = train(f'--run_dir={tmp_path / "run"}', *_TINY, *flags)
-  assert done.code == 1
-  assert message in done.stderr
-  assert 'Traceback' not in done.stderr
-  assert not _files(tmp_path)
-
-
-def test_run_dir_is_required(train: processes.Binary) -> None:
-  done = train(*_TINY)
-  assert done.code == 1
-  assert '--run_dir' in done.stderr and 'Traceback' not in done.stderr
-
-
 @pytest.fixture
 def copy(run_dir: pathlib.Path, tmp_path: pathlib.Path) -> pathlib.Path:
   """A run that may be damaged."""
   folder = tmp_path / 'copy'
-  for name, content in _files(run_dir).items():
-    if content:
-      path = folder / name
-      path.parent.mkdir(parents=True, exist_ok=True)
-      path.write_bytes(content)
+  shutil.copytree(run_dir, folder)
   return folder
 
 
@@ -370,13 +307,8 @@ def copy(run_dir: pathlib.Path, tmp_path: pathlib.Path) -> pathlib.Path:
   [
     ([], 'already holds a run'),
     (['--resume', '--num_worlds=16'], 'num_worlds'),
-    (['--resume', '--modes=idle'], 'modes'),
-    (['--resume', '--seed=3'], 'seed'),
-    (['--resume', '--threads=2'], 'threads'),
     (['--resume', '--noone_hot'], 'one_hot'),
     (['--resume', '--ppo_clip=0.1'], 'ppo'),
-    (['--resume', '--task_limits_distance=0.5'], 'task'),
-    (['--resume', '--nosampling_adaptive'], 'sampling'),
   ],
   ids=lambda value: value if isinstance(value, str) else ' '.join(value),
 )
@@ -393,20 +325,8 @@ def test_another_run_than_that_of_the_folder(
   assert _files(copy) == before
 
 
-class _Planted:
-  def __init__(self, mark: pathlib.Path) -> None:
-    self._mark = mark
-
-  def __reduce__(self) -> tuple[Any, ...]:
-    return pathlib.Path.touch, (self._mark,)
-
-
 def _truncated(path: pathlib.Path) -> None:
   path.write_bytes(path.read_bytes()[:-100])
-
-
-def _pickled(path: pathlib.Path) -> None:
-  path.write_bytes(pickle.dumps(_Planted(path.parent / 'ran')))
 
 
 def _without_the_actor(path: pathlib.Path) -> None:
@@ -425,11 +345,9 @@ def _of_another_network(path: pathlib.Path) -> None:
   ('name', 'damage', 'message'),
   [
     (checkpointing.NAME, _truncated, 'truncated'),
-    (checkpointing.NAME, _pickled, 'was not written by'),
     (checkpointing.NAME, _without_the_actor, 'generator'),
     (checkpointing.NAME, _of_another_network, 'another network'),
-    (setup.CONFIG_FILE, _truncated, 'config.json is damaged'),
-    (setup.CONFIG_FILE, _pickled, 'config.json is damaged'),
+    (run_folder.CONFIG_FILE, _truncated, 'config.json is damaged'),
   ],
 )
 def test_damaged_run(
@@ -450,7 +368,7 @@ def test_damaged_run(
 def test_checkpoint_without_its_run_is_not_taken_over(
   train: processes.Binary, copy: pathlib.Path
 ) -> None:
-  (copy / setup.CONFIG_FILE).unlink()
+  (copy / run_folder.CONFIG_FILE).unlink()
   before = _files(copy)
   done = train(f'--run_dir={copy}', *_TINY, '--steps=100000')
   assert done.code == 2
@@ -503,7 +421,7 @@ def test_policy_gains_a_mode(known: pathlib.Path, grown: pathlib.Path) -> None:
   assert after.provenance['steps'] == _STEPS
   assert after.provenance['initial']['steps'] == 7
   assert float(after.network.normaliser.count) == _STEPS
-  assert all(float(row['loss/anchor']) > 0 for row in _rows(grown))
+  assert all(float(row['loss/kickstarting']) > 0 for row in _rows(grown))
 
 
 def test_weights_are_taken_over(
@@ -527,37 +445,15 @@ def test_weights_are_taken_over(
   assert float(after.normaliser.count) == _ITERATION
 
 
-@pytest.mark.parametrize('iterations', [0, 3])
 def test_run_that_began_with_a_policy_goes_on_bit_for_bit(
-  train: processes.Binary,
-  known: pathlib.Path,
-  grown: pathlib.Path,
-  tmp_path: pathlib.Path,
-  iterations: int,
+  train: processes.Binary, grown: pathlib.Path, tmp_path: pathlib.Path
 ) -> None:
-  """From a checkpoint, or killed before there was one; the policy is gone."""
-  folder = tmp_path / 'parts'
-  flag = f'--run_dir={folder}'
-  if iterations:
-    # The schedules are those of the whole training, whatever --steps say.
-    config = setup.load_run(grown)[0]
-    schedules = (
-      f'--ppo_std_floor={config.ppo.std_floor}',
-      f'--ppo_deterministic_fraction={config.ppo.deterministic_fraction}',
-      f'--sampling_focus_end={config.sampling.focus_end}',
-      f'--steps={iterations * _ITERATION}',
-    )
-    assert train(flag, f'--init_from={known}', *_FINE, *schedules).code == 0
-  else:
-    for name, content in _files(grown).items():
-      if content and name.partition('/')[0] in (
-        setup.CONFIG_FILE,
-        setup.INITIAL,
-        setup.ENCODER,
-      ):
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes(content)
-  done = train(flag, '--resume', f'--steps={_STEPS}')
+  """Killed before there was a checkpoint; the policy is gone meanwhile."""
+  folder, kept = tmp_path / 'parts', run_folder.RunFolder(grown)
+  shutil.copytree(kept.initial, folder / run_folder.INITIAL)
+  shutil.copytree(kept.encoder, folder / run_folder.ENCODER)
+  shutil.copy(kept.config, folder)
+  done = train(f'--run_dir={folder}', '--resume', f'--steps={_STEPS}')
   assert done.code == 0, done.stderr
   expected, _ = checkpointing.load_tensors(grown / checkpointing.NAME)
   found, _ = checkpointing.load_tensors(folder / checkpointing.NAME)
@@ -572,9 +468,6 @@ def test_run_that_began_with_a_policy_goes_on_bit_for_bit(
     (['--init_from=pi7'], 'pi7'),
     (['--init_from={tmp}/one_hot'], 'one-hot commands'),
     (['--ppo_hidden_sizes=8'], '--ppo_hidden_sizes'),
-    (['--one_hot'], '--one_hot'),
-    (['--encoder={tmp}/absent'], 'absent'),
-    (['--modes=idle,fly'], 'fly'),
     (['--modes=idle,walk_left'], 'walk_right'),
     (['--mode_file={tmp}/idle.yaml'], 'by the name of'),
     (['--mode_file={tmp}/stay.yaml', '--modes=idle,stay'], 'same base motion'),
@@ -624,19 +517,3 @@ def test_run_begins_with_no_other_policy_when_it_goes_on(
     '--steps=1',
   )
   assert done.code == 0, done.stderr
-
-
-def test_weights_and_biases_are_not_there(
-  train: processes.Binary, tmp_path: pathlib.Path
-) -> None:
-  folder = tmp_path / 'run'
-  train.start(
-    f'--run_dir={folder}',
-    *_TINY,
-    '--wandb_project=bipeds',
-    before="import sys; sys.modules['wandb'] = None",
-  )
-  done = train.wait()
-  assert done.code == 2
-  assert 'takes the extra `wandb`' in done.error
-  assert not folder.exists()

@@ -12,6 +12,7 @@ from dmc_multimode import pretrained
 from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.agents.ppo import networks
 from dmc_multimode.experiments import config as run_config
+from dmc_multimode.experiments import run_folder
 from dmc_multimode.experiments import setup
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set
@@ -84,9 +85,9 @@ def test_every_kind_of_learner_learns(symmetry: str, advantages: str) -> None:
 def test_damaged_configuration(
   text: str, message: str, tmp_path: pathlib.Path
 ) -> None:
-  (tmp_path / setup.CONFIG_FILE).write_text(text)
+  (tmp_path / run_folder.CONFIG_FILE).write_text(text)
   with pytest.raises(ValueError, match=f'config.json is damaged: .*{message}'):
-    setup.load_run(tmp_path)
+    run_folder.RunFolder(tmp_path).load()
 
 
 @pytest.mark.parametrize(
@@ -109,10 +110,10 @@ def test_values_of_another_type(
 
 
 def test_configuration_is_of_a_sane_size(tmp_path: pathlib.Path) -> None:
-  with open(tmp_path / setup.CONFIG_FILE, 'wb') as file:
+  with open(tmp_path / run_folder.CONFIG_FILE, 'wb') as file:
     file.truncate(65 << 20)
   with pytest.raises(ValueError, match='too large'):
-    setup.load_run(tmp_path)
+    run_folder.RunFolder(tmp_path).load()
   with pytest.raises(ValueError, match='num_worlds'):
     run_config.RunConfig(num_worlds=10**9)
 

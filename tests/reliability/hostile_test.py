@@ -19,7 +19,7 @@ from dmc_multimode.agents import loggers
 from dmc_multimode.evaluation import training_figures
 from dmc_multimode.experiments import config as run_config
 from dmc_multimode.experiments import launch
-from dmc_multimode.experiments import setup
+from dmc_multimode.experiments import run_folder
 from dmc_multimode.modes import codebook
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
@@ -86,7 +86,7 @@ def _checkpoint(folder: pathlib.Path) -> None:
 def _run(folder: pathlib.Path) -> None:
   motions = library.resolve(_MODES)
   run = run_config.RunConfig(modes=','.join(_MODES), one_hot=True)
-  setup.save_run(folder, run, mode_set.one_hot(motions))
+  run_folder.RunFolder(folder).save(run, mode_set.one_hot(motions))
 
 
 def _encoder(folder: pathlib.Path) -> None:
@@ -123,7 +123,11 @@ _READERS: list[tuple[str, _Write, _Read]] = [
     lambda folder: checkpointing.Checkpointer(folder).load(),
   ),
   (checkpointing.PREVIOUS, _checkpoint, _read_previous),
-  (setup.CONFIG_FILE, _run, setup.load_run),
+  (
+    run_folder.CONFIG_FILE,
+    _run,
+    lambda path: run_folder.RunFolder(path).load(),
+  ),
   (mode_encoder.WEIGHTS_FILE, _encoder, mode_encoder.load),
   (mode_encoder.CONFIG_FILE, _encoder, mode_encoder.load),
   (codebook.FILE, _codebook, lambda f: codebook.load(f / codebook.FILE)),
@@ -179,9 +183,10 @@ def test_note_of_a_launch_is_not_executed(
 ) -> None:
   monkeypatch.setenv('TORCHELASTIC_RUN_ID', 'launch')
   _run(tmp_path)
-  _pickle(tmp_path / launch.FILE, tmp_path / 'ran')
+  noted = run_folder.RunFolder(tmp_path).launch
+  _pickle(noted, tmp_path / 'ran')
   with pytest.raises(ValueError):
-    launch.is_restart(tmp_path)
+    launch.is_restart(noted)
   assert not (tmp_path / 'ran').exists()
 
 

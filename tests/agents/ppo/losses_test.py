@@ -81,10 +81,12 @@ def test_advantages_are_means_of_n_step_returns(gae_lambda: float) -> None:
   next_values[:-1] = np.where(last[:-1], next_values[:-1], values[1:])
   fields = (rewards, values, next_values, discounts, last)
   found = losses.generalised_advantages(
-    *map(torch.from_numpy, fields), gae_lambda
+    *map(torch.from_numpy, fields), gae_lambda=gae_lambda
   )
   for world in range(shape[1]):
-    expected = _by_returns(*(f[:, world] for f in fields), gae_lambda)
+    expected = _by_returns(
+      *(f[:, world] for f in fields), gae_lambda=gae_lambda
+    )
     np.testing.assert_allclose(found[:, world], expected, atol=1e-12)
 
 

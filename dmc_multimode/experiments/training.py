@@ -1,0 +1,337 @@
+"""Trains a policy: in a new run or one that goes on.
+
+What `python -m dmc_multimode.bin.train` does, as a function.
+"""
+
+import dataclasses
+import json
+import math
+import os
+import signal
+import threading
+from typing import Any, Mapping, Sequence
+
+import torch
+
+from dmc_multimode.agents import distributed
+from dmc_multimode.agents import loggers
+from dmc_multimode.agents import runner
+from dmc_multimode.experiments import config as run_config
+from dmc_multimode.experiments import fine_tuning
+from dmc_multimode.experiments import launch
+from dmc_multimode.experiments import run_folder
+from dmc_multimode.experiments import setup
+from dmc_multimode.modes import files as mode_files
+from dmc_multimode.modes import library
+from dmc_multimode.modes import mode_set as mode_set_lib
+from dmc_multimode.modes import motion as motion_lib
+from dmc_multimode.modes.encoder import mode_encoder
+from dmc_multimode.modes.encoder import training as encoder_training
+from dmc_multimode.pretrained import policy as policy_lib
+from dmc_multimode.suite.imitation import symmetry as task_symmetry
+
+Path = str | os.PathLike[str]
+Motions = tuple[motion_lib.ReferenceMotion, ...]
+
+STEPS = runner.TrainingConfig().steps
+
+
+def train(
+  run_dir: Path,
+  modes: str | Sequence[str] | None = None,
+  steps: int = STEPS,
+  *,
+  resume: bool = False,
+  init_from: Path | None = None,
+  mode_file: Path | None = None,
+  encoder: Path | None = None,
+  minutes: float = math.inf,
+  keep_every: int = 0,
+  device: str | torch.device = 'cpu',
+  wandb_project: str | None = None,
+  communicator: distributed.Communicator = distributed.LOCAL,
+  **overrides: Any,
+) -> policy_lib.Policy:
+  """Trains until so many steps, the time is up or a signal asks to stop.
+
+  Args:
+    run_dir: folder of the run; see `run_folder`.
+    modes: name of a mode set, or of modes; by default those of `quickstart`, or
+      with `init_from` those of the policy and of `mode_file`.
+    steps: environment steps, summed over all worlds, in all.
+    resume: goes on with the run that is there, as if nothing had happened.
+    init_from: a policy to begin with, shipped or a folder; its task and network
+      become defaults.
+    mode_file: YAML or JSON file of further modes.
+    encoder: folder of a trained encoder; trained first by default.
+    minutes: of wall-clock time, after which it stops.
+    keep_every: environment steps between policies kept for good; 0 keeps none.
+    device: where networks are, and learn.
+    wandb_project: of Weights and Biases, to log to as well.
+    communicator: of the ranks that train together; each calls this, and rank 0
+      alone writes and prints.
+    **overrides: other fields of `RunConfig`, named as the flags are:
+      `num_worlds=512`, `ppo_discount=0.98`,
+      `task_events_push_speed='0:0.5@8e6'`.
+
+  Returns:
+    The policy, which is in the run's folder too.
+
+  Raises:
+    FileNotFoundError: there is no run to resume, or no such policy.
+    ValueError: in one line, a setting is wrong, contradicts the run that is
+      resumed, or the folder already holds one.
+    FloatingPointError: the learner met numbers that are not finite.
+  """
+  length = runner.TrainingConfig(steps, minutes, keep_every=keep_every)
+  request = _Request(
+    run_folder.RunFolder(run_dir),
+    modes if modes is None or isinstance(modes, str) else ','.join(modes),
+    steps,
+    None if init_from is None else os.fspath(init_from),
+    mode_file,
+    encoder,
+    overrides,
+  )
+  if wandb_project and communicator.rank == 0:
+    loggers.check_wandb()
+  run = _build(request, resume, torch.device(device), communicator)
+  return _run(run, request.folder, length, wandb_project, communicator)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Request:
+  """What was asked for; see `train`."""
+
+  folder: run_folder.RunFolder
+  modes: str | None
+  steps: int
+  init_from: str | None
+  mode_file: Path | None
+  encoder: Path | None
+  overrides: Mapping[str, Any]
+
+  def configure(
+    self, start: fine_tuning.Start | None
+  ) -> tuple[run_config.RunConfig, Motions]:
+    """Returns configuration and modes of a new run."""
+    extra = mode_files.load(self.mode_file) if self.mode_file else ()
+    threads = {'threads': distributed.local_cores()}
+    if start:
+      motions = start.modes(self.modes, extra)
+      config = start.config(motions, self.steps)
+      config = run_config.overridden(config, {**threads, **self.overrides})
+      start.check(config)
+      return config, motions
+    config = run_config.overridden(
+      run_config.RunConfig(), {**threads, **self.overrides}
+    )
+    config = dataclasses.replace(config, modes=self.modes or config.modes)
+    return config, library.resolve(config.modes, extra)
+
+  def begin(self, ranks: int) -> run_folder.Description:
+    """Checks everything, then makes the folder and encoder of a new run."""
+    start = None
+    if self.init_from:
+      start = fine_tuning.load(
+        self.init_from, None if self.encoder is None else str(self.encoder)
+      )
+    config, motions = self.configure(start)
+    setup.check_ranks(config, ranks)
+    mode_set = mode_set_lib.one_hot(motions)
+    if config.ppo.symmetry != 'none':
+      task_symmetry.mirror_image(mode_set)  # Raises where there is none.
+    encoder = None
+    if self.encoder and not start and not config.one_hot:
+      encoder = mode_encoder.load(self.encoder)
+      encoder.codebook().subset(mode_set.names)
+    folder = self.folder
+    if folder.holds_run():
+      raise ValueError(
+        f'{folder.path} already holds a run: add --resume, or name another '
+        'folder.'
+      )
+    if start:
+      print('Extending the mode encoder.', flush=True)
+      encoder, mode_set = start.encode(motions)
+    folder.path.mkdir(parents=True, exist_ok=True)
+    if start:
+      start.policy.save(folder.initial)
+    elif not config.one_hot:
+      encoder = encoder or _train_encoder(motions, config.seed)
+      codebook = encoder.codebook().subset(mode_set.names)
+      mode_set = mode_set_lib.ModeSet(motions, codebook)
+    if encoder:
+      encoder.save(folder.encoder)
+    return config, mode_set
+
+  def resume(self, ranks: int) -> run_folder.Description:
+    """Reads a run back; what contradicts it is an error."""
+    config, mode_set = self.folder.load()
+    given = dict(self.overrides)
+    given |= {
+      name: value
+      for name, value in (
+        ('modes', self.modes),
+        ('init_from', self.init_from),
+      )
+      if value is not None
+    }
+    stored = run_config.to_dict(config)
+    wanted = run_config.to_dict(run_config.overridden(config, given))
+    for name, value in wanted.items():
+      if value != stored[name]:
+        raise ValueError(
+          f'The run in {self.folder.path} has another {name} than these flags '
+          'say: leave them out to resume it, or name another folder.'
+        )
+    setup.check_ranks(config, ranks)
+    return config, mode_set
+
+
+def _train_encoder(motions: Motions, seed: int) -> mode_encoder.ModeEncoder:
+  print('Training the mode encoder.', flush=True)
+  contacts = encoder_training.needs_contacts(motions)
+  return encoder_training.train(
+    motions, mode_encoder.EncoderConfig(use_contacts=contacts, seed=seed)
+  )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Opened:
+  """A run that begins or goes on; rank 0 alone knows all of it."""
+
+  description: run_folder.Description
+  has_checkpoint: bool
+  is_new: bool = False
+  initial: policy_lib.Policy | None = None
+  tensors: Mapping[str, torch.Tensor] = dataclasses.field(default_factory=dict)
+  values: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+
+def _open(
+  request: _Request, resume: bool, communicator: distributed.Communicator
+) -> _Opened:
+  """Opens the run at rank 0, which tells the others what they need of it."""
+  folder, opened = request.folder, []
+
+  def at_first() -> str:
+    is_restart = folder.config.is_file() and launch.is_restart(folder.launch)
+    is_new = not (resume or is_restart)
+    prepare = request.begin if is_new else request.resume
+    description = prepare(communicator.size)
+    initial = folder.load_initial(description[0])
+    tensors: Mapping[str, torch.Tensor] = {}
+    values: Mapping[str, Any] = {}
+    if folder.checkpointer.exists():
+      tensors, values, note = folder.checkpointer.load()
+      print(note or f'Resuming at {values["steps"]:,} steps.', flush=True)
+    opened.append(
+      _Opened(description, bool(values), is_new, initial, tensors, values)
+    )
+    return json.dumps([bool(values), run_folder.describe(*description)])
+
+  has_checkpoint, text = json.loads(
+    distributed.from_first(communicator, at_first)
+  )
+  if opened:
+    return opened[0]
+  return _Opened(run_folder.parse(text), has_checkpoint)
+
+
+def _build(
+  request: _Request,
+  resume: bool,
+  device: torch.device,
+  communicator: distributed.Communicator,
+) -> setup.Run:
+  """Builds this rank's part of a new run, or of one that goes on."""
+  opened = _open(request, resume, communicator)
+  run = setup.build(*opened.description, communicator, device, opened.initial)
+  if opened.is_new:
+    launch.note(request.folder.launch)
+    request.folder.save(*opened.description)
+  if opened.has_checkpoint:
+    run.loop.restore(opened.tensors, opened.values)
+  return run
+
+
+def _run(
+  run: setup.Run,
+  folder: run_folder.RunFolder,
+  length: runner.TrainingConfig,
+  wandb_project: str | None,
+  communicator: distributed.Communicator,
+) -> policy_lib.Policy:
+  """Trains; rank 0 alone writes and prints."""
+  is_first = communicator.rank == 0
+
+  def save() -> None:
+    state = run.loop.state()
+    if is_first:
+      folder.checkpointer.save(*state)
+      run.policy().save(folder.policy)
+
+  def keep() -> None:
+    if is_first:
+      run.policy().save(folder.kept_policy(run.loop.steps))
+
+  logger = loggers.Dispatcher([])
+  if is_first:
+    logger = _make_logger(folder, run, length.steps, wandb_project)
+  try:
+    with _Stop() as stop:
+      run.loop.run(length, logger, save, stop, keep)
+  finally:
+    logger.close()
+  if is_first:
+    print(f'{run.loop.steps:,} steps; the policy is in {folder.policy}')
+  return run.policy()
+
+
+def _make_logger(
+  folder: run_folder.RunFolder,
+  run: setup.Run,
+  steps: int,
+  wandb_project: str | None,
+) -> loggers.Dispatcher:
+  now = run.loop.steps
+  parts: list[loggers.Logger] = [
+    loggers.ProgressLogger(steps, now),
+    loggers.CSVLogger(folder.metrics, now),
+    loggers.TensorBoardLogger(folder.tensorboard, now),
+  ]
+  if wandb_project:
+    values = run_config.to_dict(run.config)
+    parts.append(loggers.WandbLogger(folder.path, wandb_project, values))
+  return loggers.Dispatcher(parts)
+
+
+class _Stop:
+  """Asks the loop to end at the first SIGINT or SIGTERM, while it is open."""
+
+  _SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+  def __init__(self) -> None:
+    self.asked = False
+    self._before: dict[int, Any] = {}
+
+  def __enter__(self) -> '_Stop':
+    # Python hands signals to the main thread alone.
+    if threading.current_thread() is threading.main_thread():
+      for number in self._SIGNALS:
+        self._before[number] = signal.signal(number, self._handle)
+    return self
+
+  def __exit__(self, *error: object) -> None:
+    for number, handler in self._before.items():
+      signal.signal(number, handler)
+
+  def _handle(self, number: int, frame: Any) -> None:
+    del frame
+    self.asked = True
+    # A second signal ends the process at once.
+    signal.signal(number, signal.SIG_DFL)
+
+  def __call__(self) -> bool:
+    return self.asked
