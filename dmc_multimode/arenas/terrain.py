@@ -96,25 +96,25 @@ def next_segment(
   return start, np.where(exists, rise, 0.0), gap
 
 
-def with_step(
+def with_ledge(
   terrain: Terrain,
   x: np.ndarray,
   edge: np.ndarray,
   height: np.ndarray | float,
   gap: np.ndarray | float = 0.0,
 ) -> Terrain:
-  """Returns terrains that step up or down ahead of `x` and stay level behind.
+  """Returns terrains with a ledge ahead of `x`, and level ground behind it.
 
-  The segment under `x` is cut before `edge`, one new segment takes over until
+  The segment under `x` is cut before `edge`, one new segment reaches to
   where the terrain used to end, and what stood ahead is dropped.
 
   Args:
     terrain: B terrains.
     x: positions in metres, [B].
-    edge: position of the step in metres, [B], ahead of `x`.
+    edge: position of the ledge in metres, [B], ahead of `x`.
     height: of the new segment over the support plane under `x`, in metres, [B]
       or one for all.
-    gap: metres of nothing before the step, [B] or one for all.
+    gap: metres of nothing before the ledge, [B] or one for all.
 
   Raises:
     ValueError: no place is left for one more segment.

@@ -36,9 +36,9 @@ class Track(composer.Arena):
       layout: the pieces from x = 0 on, or a function that draws them. The first
         piece also reaches back behind the origin, the last one runs out.
       num_segments: size of the pool. More than the layout needs leaves places
-        for the steps that modes such as launch call for.
-      adaptive: whether a step (a block, say) is put where a commanded mode
-        needs it, as in training; otherwise the track stays as it was drawn.
+        for the ledges that modes such as launch call for.
+      adaptive: puts a ledge (a block, say) where a commanded mode needs it, as
+        in training; otherwise the track stays as it was drawn.
       name: of the arena.
 
     Raises:
@@ -144,12 +144,12 @@ class Track(composer.Arena):
 
   @property
   def ground_geoms(self) -> tuple[Any, ...]:
-    """The boxes' geoms, in the order of the segments."""
+    """Geoms of the boxes, in the order of the segments."""
     return tuple(self._geoms)
 
   @property
   def terrain(self) -> terrain_lib.Terrain:
-    """The terrain that stands now (a batch of one)."""
+    """Terrain that stands now (a batch of one)."""
     return self._terrain
 
   def generate(

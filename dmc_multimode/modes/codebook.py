@@ -1,4 +1,4 @@
-"""The command vectors that a policy sees: one row a mode."""
+"""Command vectors (latents) of modes, and their file: one row a mode."""
 
 import dataclasses
 import json
@@ -15,7 +15,7 @@ _MAX_BYTES = 1 << 20  # Larger files are none of ours.
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Codebook:
-  """What stands for each mode in the policy's observation.
+  """Latents that stand for modes in the policy's observation.
 
   Attributes:
     names: the modes' names, length M, in the order of their mode indices.

@@ -1,4 +1,4 @@
-"""The named modes, and the sets that the paper's experiments train on."""
+"""Named modes, and the sets that the paper's experiments train on."""
 
 import functools
 from typing import Iterable, Mapping, Sequence
@@ -149,7 +149,7 @@ def _jump(
   ledge: motion_lib.Ledge,
   flight: tuple[float, float],
 ) -> motion_lib.ReferenceMotion:
-  """From one height to another; `flight` is from take-off to touch-down."""
+  """Returns a jump to another height, in the air during `flight` (phases)."""
   moments = np.array(phases)
   flying = (moments >= flight[0]) & (moments < flight[1])
   return motion_lib.ReferenceMotion(

@@ -24,7 +24,7 @@ class Reference(NamedTuple):
     position: metres, [B, 3].
     orientation: unit quaternions, [B, 4].
     contact: desired feet contacts, [B, 2]; zero where the mode has none.
-    has_contact: whether the mode prescribes contacts, [B].
+    has_contact: true where the mode prescribes contacts, [B].
   """
 
   position: np.ndarray
@@ -112,7 +112,7 @@ class ReferenceBank:
     Args:
       modes: mode indices, [B].
       phases: phases in [0, 1], [B].
-      push_off: how long before its take-off a flight begins to count, seconds.
+      push_off: seconds before its take-off from which a flight counts.
     """
     keyframe, _ = self._locate(modes, phases)
     flight = self._flights[keyframe]
@@ -179,7 +179,7 @@ class ReferenceBank:
   def velocity(
     self, modes: np.ndarray, phases: np.ndarray, step: float = 1e-3
   ) -> np.ndarray:
-    """Base velocities at clock rate 1 by central difference.
+    """Returns base velocities at clock rate 1 by central difference.
 
     Args:
       modes: mode indices, [B].
@@ -196,7 +196,7 @@ class ReferenceBank:
     return moved / ((after - before) * self.durations[modes])[:, None]
 
   def start_velocity(self, modes: np.ndarray, phases: np.ndarray) -> np.ndarray:
-    """Base velocities with which a body can follow the reference from here.
+    """Returns base velocities with which a body can follow the reference.
 
     Keyframes are joined by straight lines, along which nothing falls: a body
     that left one at the line's velocity would land short. In flight this is
@@ -248,7 +248,11 @@ class ReferenceBank:
   def _ballistic_velocity(
     self, modes: np.ndarray, phases: np.ndarray, landings: np.ndarray
   ) -> np.ndarray:
-    """Velocities, m/s, that end in the references at `landings`, [B, 3]."""
+    """Returns velocities, m/s, [B, 3], that end in references at `landings`.
+
+    With g = 9.81 m/s^2 along -z and the time t until the landing,
+    v = (p(landing) - p(now)) / t + g t / 2.
+    """
     # A moment before touch-down there is hardly anything left to divide.
     least = _LEAST_FLIGHT / self.durations[modes]
     start = np.clip(landings - least, 0.0, phases)
@@ -268,7 +272,7 @@ class ReferenceBank:
 
 
 def _contact_spans(phases: np.ndarray, contacts: np.ndarray) -> np.ndarray:
-  """Phases from and to which the contacts of keyframes last, [2, M, K]."""
+  """Returns phases from and to which keyframes' contacts last, [2, M, K]."""
   width = phases.shape[1]
   phases = np.minimum(phases, 1.0)
   spans = np.stack([phases, np.roll(phases, -1, axis=1)])

@@ -59,7 +59,7 @@ class ModeSchedule:
 
 
 def single(modes: np.ndarray, clock_rate: float = 1.0) -> ModeSchedule:
-  """One mode for the whole episode in each world; `modes` is [B]."""
+  """Returns one mode for the whole episode of each world; `modes` is [B]."""
   modes = np.atleast_1d(np.asarray(modes, dtype=np.int64))[:, None]
   rates = np.full(len(modes), float(clock_rate))
   return ModeSchedule(modes, np.zeros(modes.shape), rates)
@@ -73,9 +73,13 @@ def transitions(
   phases: np.ndarray,
   commands_from_ground: bool = True,
 ) -> ModeSchedule:
-  """The episodes of Algorithm 1: m_i until t_s, then m_f.
+  """Returns the episodes of Algorithm 1: m_i until t_s, then m_f.
 
-  t_s is `clips + phases` clips of the initial mode, but a robot in flight
+  With the clip's duration T_i of the initial mode,
+
+      t_s = (clip_s + phi_s) T_i,  clip_s ~ U{0, 1}, phi_s ~ U{.25, .5, .75}
+
+  (Krishna and Nguyen, Algorithm 1), but a robot in flight
   cannot obey: it goes on to where it lands, which the next reference has left
   by then, or where the block of a launch stands. Nor can one that pushes off,
   in the last `PUSH_OFF` before its take-off. So a command waits for the
@@ -105,7 +109,7 @@ def transitions(
 def from_knots(
   modes: np.ndarray, knot_duration: float, clock_rate: float = 1.0
 ) -> ModeSchedule:
-  """A plan: `modes` [B, K], one every `knot_duration` seconds."""
+  """Returns a plan: `modes` [B, K], one every `knot_duration` seconds."""
   modes = np.atleast_2d(np.asarray(modes, dtype=np.int64))
   if not knot_duration > 0:
     raise ValueError(f'Knots must last longer than 0 s, got {knot_duration}.')
@@ -119,7 +123,7 @@ def from_names(
   durations: Sequence[float],
   clock_rate: float = 1.0,
 ) -> ModeSchedule:
-  """One world's schedule from mode names and how long each is commanded."""
+  """Returns one world's schedule from mode names and seconds of each."""
   if len(names) != len(durations) or not names:
     raise ValueError('A schedule needs as many durations as modes, at least 1.')
   for name, duration in zip(names, durations, strict=True):

@@ -13,12 +13,12 @@ _PHASES = 4  # Parts of a mode that are told apart.
 
 
 class Solution(NamedTuple):
-  """What a planner found.
+  """Plans that a planner found.
 
   Attributes:
     plans: the best first, mode indices, [N, K].
     returns: of these, [N].
-    success: whether they reached the goal when they were found, [N].
+    success: true for those that reached the goal when found, [N].
     episodes: plans that were tried, or parts of plans.
   """
 
@@ -66,7 +66,7 @@ class _Front:
     self.returns = self.returns[self._parents] + reward
 
   def branch(self, kept: np.ndarray) -> np.ndarray:
-    """Goes on from the worlds `kept`; returns whom each takes after, [W]."""
+    """Continues from the worlds `kept`; returns the source of each, [W]."""
     self._parents = np.repeat(np.resize(kept, self._beams), self._modes)
     self.distinct = np.arange(len(self.commands)) < len(kept) * self._modes
     return self._parents
@@ -132,7 +132,7 @@ def beam_search(
         ]
       )
       kept = _select(cells, front.returns, worth, beams)
-      problem.take(front.branch(kept))
+      problem.copy_state(front.branch(kept))
   return front.solution(progress, knots)
 
 

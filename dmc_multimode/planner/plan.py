@@ -89,7 +89,7 @@ class ModePlan:
 
 
 class Course(NamedTuple):
-  """What a plan was made for, and what happened on the way.
+  """Conditions that a plan was made for, and what happened on the way.
 
   Attributes:
     arena: name of the track.
@@ -179,7 +179,7 @@ class PlanResult:
     plan: the best plan that was found, or what was commanded on the way.
     course: what it was made for.
     goal: of the trunk, world metres, [3].
-    success: whether the robot stands at the goal in the end and never fell.
+    success: true where the robot ends at the goal and never fell.
     episode_return: sum of exp(-|goal - p|) over the control steps.
     path: of the trunk after every control step, world metres, [T, 3].
     solve_seconds: from the first roll-out to the last.
@@ -205,7 +205,7 @@ class PlanResult:
     return self.path[-1]
 
   def file(self) -> PlanFile:
-    """Returns what is kept of it on disk."""
+    """Returns the values that are written to disk."""
     details = {
       'success': self.success,
       'final_position': self.final_position.tolist(),

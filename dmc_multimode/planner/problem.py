@@ -23,14 +23,14 @@ _BLOCK = 16  # Observations that the policy sees at once are a multiple.
 
 
 class Progress(NamedTuple):
-  """Where the B worlds are; see `ReachingProblem.run_knot`.
+  """Outcome of a knot in B worlds; see `ReachingProblem.run_knot`.
 
   Attributes:
     reward: of the knot, sum of exp(-|goal - p|) over its control steps, zero
       after a fall, [B].
     path: of the trunk in the world after each control step, metres, [S, B, 3].
-    alive: whether the robot has never fallen, [B].
-    reached: whether it stands at the goal, upright, [B].
+    alive: true while the robot has never fallen, [B].
+    reached: true where it stands at the goal, upright, [B].
   """
 
   reward: np.ndarray
@@ -50,8 +50,8 @@ class Trials(NamedTuple):
   Attributes:
     returns: sums of the knots' rewards, [N].
     position: of the trunk in the end, metres, [N, 3].
-    alive: whether the robot never fell, [N].
-    success: whether the goal is reached in the end, without a fall, [N].
+    alive: true where the robot never fell, [N].
+    success: true where the goal is reached in the end without a fall, [N].
     paths: of the trunk after every control step, metres, [N, T, 3].
   """
 
@@ -74,12 +74,12 @@ def trials(knots: Sequence[Progress]) -> Trials:
 
 
 class _Start(NamedTuple):
-  """What `ReachingProblem.reset` returns to.
+  """State that `ReachingProblem.reset` returns to.
 
   Attributes:
     worlds: their state.
     knot: of the whole plan.
-    alive: whether each robot has never fallen, [B].
+    alive: true while a robot has never fallen, [B].
   """
 
   worlds: dict[str, np.ndarray]
@@ -162,12 +162,12 @@ class ReachingProblem:
 
   @property
   def alive(self) -> np.ndarray:
-    """Whether each robot has never fallen, [B]."""
+    """Robots that have never fallen, bool [B]."""
     return self._alive.copy()
 
   @property
   def phase(self) -> np.ndarray:
-    """How far each running mode has come, in [0, 1], [B]."""
+    """Phase of each running mode, in [0, 1], [B]."""
     return self._worlds.core.tracker.state.phase.copy()
 
   def begin_at(self, other: 'ReachingProblem') -> None:
@@ -191,11 +191,11 @@ class ReachingProblem:
     self._observation = self._worlds.restore(self._start.worlds)
     self._knot, self._alive = self._start.knot, self._start.alive.copy()
 
-  def take(self, sources: np.ndarray) -> None:
-    """Lets every world go on from where another is.
+  def copy_state(self, sources: np.ndarray) -> None:
+    """Continues world i from the state of world `sources[i]`.
 
     Args:
-      sources: index of the world that world i takes after, [B].
+      sources: indices of worlds, [B].
     """
     self._observation = self._worlds.copy_state(sources)
     self._alive = self._alive[sources]
@@ -261,7 +261,7 @@ class ReachingProblem:
     return np.concatenate(actions)[: len(seen)]
 
   def _reached(self) -> np.ndarray:
-    """Who stands at the goal and never fell, [B]."""
+    """Returns robots that stand at the goal and never fell, bool [B]."""
     there = reaching.reached(
       self._worlds.qpos, self._worlds.core.terrain, self._goal
     )

@@ -1,4 +1,4 @@
-"""The paper's planner: tabular Q-learning over knots (Sec. II-E).
+"""Tabular Q-learning over knots, the paper's planner (Sec. II-E).
 
 The state is the index of a knot, the action the mode that is commanded there.
 What the robot does is no part of the state, so that the values of later knots

@@ -22,7 +22,7 @@ _CANDIDATES = 10  # Plans that are tried alone until one succeeds.
 
 
 class Status(NamedTuple):
-  """How far a search has come.
+  """Progress of a search.
 
   Attributes:
     search: which one, for people.

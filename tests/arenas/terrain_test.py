@@ -158,8 +158,8 @@ def test_is_the_first_segment_that_has_not_started(
   assert _next(_terrain(*segments), x) == expected
 
 
-def test_with_step_by_hand() -> None:
-  stepped = terrain.with_step(_COURSE, np.array([0.0]), np.array([0.3]), 0.4)
+def test_with_ledge_by_hand() -> None:
+  stepped = terrain.with_ledge(_COURSE, np.array([0.0]), np.array([0.3]), 0.4)
   np.testing.assert_array_equal(stepped.starts, [[-20, 0.3, np.inf, np.inf]])
   np.testing.assert_array_equal(stepped.ends, [[0.3, 9, np.inf, np.inf]])
   np.testing.assert_array_equal(stepped.tops, [[0, 0.4, 0, 0]])
@@ -167,14 +167,14 @@ def test_with_step_by_hand() -> None:
 
 
 def test_is_relative_to_the_support() -> None:
-  stepped = terrain.with_step(_COURSE, np.array([1.7]), np.array([1.9]), -0.1)
+  stepped = terrain.with_ledge(_COURSE, np.array([1.7]), np.array([1.9]), -0.1)
   np.testing.assert_allclose(
     _at(stepped, 0.0, 1.25, 1.7, 1.95), [0.0, 0.0, 0.2, 0.1]
   )
 
 
 def test_gap_ends_at_the_step() -> None:
-  stepped = terrain.with_step(
+  stepped = terrain.with_ledge(
     _COURSE, np.array([0.0]), np.array([0.75]), -0.1, 0.25
   )
   np.testing.assert_array_equal(stepped.starts, [[-20, 0.75, np.inf, np.inf]])
@@ -184,7 +184,7 @@ def test_gap_ends_at_the_step() -> None:
 
 def test_heights_and_gaps_of_each_world() -> None:
   three = _COURSE.rows(np.zeros(3, dtype=np.int64))
-  stepped = terrain.with_step(
+  stepped = terrain.with_ledge(
     three,
     np.array([0.0, 1.75, 2.5]),
     np.array([0.5, 2.25, 3.0]),
@@ -228,7 +228,7 @@ def test_is_what_comes_next(
   edge = x + ahead
   hypothesis.assume(edge > segments[0][0])
   before = _terrain(*segments, num_segments=5)
-  after = terrain.with_step(
+  after = terrain.with_ledge(
     before,
     np.array([x]),
     np.array([edge]),
@@ -243,7 +243,7 @@ def test_is_what_comes_next(
 
 
 def test_past_the_end_there_is_ground_still() -> None:
-  stepped = terrain.with_step(_COURSE, np.array([8.9]), np.array([9.2]), 0.4)
+  stepped = terrain.with_ledge(_COURSE, np.array([8.9]), np.array([9.2]), 0.4)
   used = np.isfinite(stepped.ends)
   assert np.all(stepped.ends[used] > stepped.starts[used])
   assert stepped.ends[used].max() >= 10.0
@@ -252,7 +252,7 @@ def test_past_the_end_there_is_ground_still() -> None:
 def test_rejects_when_the_pool_is_used_up() -> None:
   full = _terrain((-20, 1, 0), (1, 9, 0.4), num_segments=2)
   with pytest.raises(ValueError, match='only 2 segments'):
-    terrain.with_step(full, np.array([2.0]), np.array([2.3]), 0.4)
+    terrain.with_ledge(full, np.array([2.0]), np.array([2.3]), 0.4)
 
 
 @pytest.mark.parametrize('x', [0.0, 1.0, 1.25, 1.4999])

@@ -34,7 +34,7 @@ class _Toy:
   def phase(self) -> np.ndarray:
     return np.zeros(self.num_worlds)
 
-  def take(self, sources: np.ndarray) -> None:
+  def copy_state(self, sources: np.ndarray) -> None:
     self.x, self.alive = self.x[sources], self.alive[sources]
 
   def run_knot(self, modes: np.ndarray) -> problem_lib.Progress:

@@ -84,7 +84,7 @@ def test_take() -> None:
   problem = _problem(3)
   problem.reset()
   problem.run_knot(np.array([_WALK, _IDLE, 2]))
-  problem.take(np.array([0, 0, 2]))
+  problem.copy_state(np.array([0, 0, 2]))
   branched = problem.run_knot(np.array([_WALK, _IDLE, 2]))
   whole = _problem(3).rollout(
     np.array([[_WALK, _WALK], [_WALK, _IDLE], [2, 2]])
@@ -201,7 +201,7 @@ def test_those_that_fell_stay_fallen() -> None:
   # Who takes after a fallen robot has fallen.
   for modes in plans.T[1:]:
     problem.run_knot(modes)
-  problem.take(np.array([1, 0]))
+  problem.copy_state(np.array([1, 0]))
   fallen = problem.run_knot(np.array([_IDLE, _IDLE]))
   np.testing.assert_array_equal(fallen.alive, [True, False])
 

@@ -1,4 +1,4 @@
-"""The mode encoder: one latent for a whole reference motion (Sec. II-B)."""
+"""Mode encoder: one latent z for a whole reference motion (Sec. II-B)."""
 
 from dmc_multimode.modes.encoder.extension import extend
 from dmc_multimode.modes.encoder.mode_encoder import EncoderConfig

@@ -86,7 +86,7 @@ def _check_base(
 
 @dataclasses.dataclass
 class _Standing:
-  """Where training stands: what is to fall, and what has to be met."""
+  """Loss of a pass, and the measures that have tolerances."""
 
   loss: torch.Tensor
   rmse: float
@@ -94,7 +94,7 @@ class _Standing:
   shift: float
 
   def suffices(self, config: mode_encoder.EncoderConfig) -> bool:
-    """Whether the tolerances are met, on other machines too."""
+    """Returns true where the tolerances are met, on other machines too."""
     return (
       self.rmse < encoder_training.SAFETY * config.max_rmse
       and self.separation * encoder_training.SAFETY > config.min_separation

@@ -32,7 +32,7 @@ _Units = Annotated[int, pydantic.Field(ge=1, le=1024)]
 
 @pydantic_dataclasses.dataclass(frozen=True, config=config_lib.STRICT)
 class EncoderConfig:
-  """How a mode encoder is built and trained.
+  """Sizes, tolerances and seed of a mode encoder and its training.
 
   Attributes:
     latent_dim: n_m, the length of a latent.

@@ -1,4 +1,4 @@
-"""The mode encoder's network, and reference motions as its input."""
+"""Network of the mode encoder, and reference motions as its input."""
 
 from typing import Sequence
 
@@ -44,7 +44,7 @@ def features(
 
 
 class Autoencoder(nn.Module):
-  """The two LSTMs, and the statistics that frame them; all in float32."""
+  """Two LSTMs, and the statistics that frame them; all in float32."""
 
   feature_mean: torch.Tensor
   feature_scale: torch.Tensor

@@ -1,7 +1,7 @@
-"""The mode encoder: an LSTM autoencoder of whole reference motions.
+"""Training of the mode encoder, an LSTM autoencoder of reference motions.
 
-After Sec. II-B of the paper: the encoder reads a motion step by step and gives
-one latent z; z, repeated once a step, drives the decoder, which gives the
+After Krishna and Nguyen, Sec. II-B: the encoder reads a motion step by step and
+gives one latent z; z, repeated once a step, drives the decoder, which gives the
 motion back. Encoder and decoder are one LSTM layer of 32 each with a linear
 read-out, without further activations. Each step is the base's position and
 orientation and, if asked for, the feet's contacts.
@@ -42,7 +42,7 @@ class ConvergenceError(ValueError):
 
 @dataclasses.dataclass(frozen=True)
 class Progress:
-  """Where training stands.
+  """Progress of a training.
 
   Attributes:
     epoch: passes over the set so far.
@@ -56,7 +56,7 @@ class Progress:
 
 
 def needs_contacts(motions: Sequence[motion_lib.ReferenceMotion]) -> bool:
-  """Returns whether only their contacts tell some of the modes apart."""
+  """Returns true where contacts alone tell some of the modes apart."""
   return _twins(motions, False) is not None
 
 

@@ -130,7 +130,7 @@ class TerrainEvents:
       noise = self._edge_noise * random_state.uniform(-1, 1, mine.sum())
       self._terrain.write(
         ids[mine],
-        terrain_lib.with_step(
+        terrain_lib.with_ledge(
           self._terrain.rows(ids[mine]),
           x[mine],
           x[mine] + ledge.edge * along[mine] + noise,
@@ -168,7 +168,7 @@ class TerrainEvents:
     )
     terrain.write(
       ids[chosen],
-      terrain_lib.with_step(
+      terrain_lib.with_ledge(
         terrain.rows(ids[chosen]),
         x[chosen],
         x[chosen] + drawn.edge[chosen],
