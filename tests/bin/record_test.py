@@ -1,95 +1,35 @@
-"""Tests of dmc_multimode.bin.record.
+"""Tests of dmc_multimode.bin.record; what it draws: `viewer/recording_test`."""
 
-Flags are global and binaries share names of theirs, so `record` runs in another
-process: one for all its command lines, because importing takes longest.
-"""
-
-import json
-import os
 import pathlib
-import subprocess
-import sys
-from typing import Callable, Iterator, NamedTuple
+from typing import Iterator
 
 import av
 import numpy as np
 import pytest
 
 from dmc_multimode.suite.imitation import config as task_config
+from tests.bin import processes
 from tests.bin import untrained
 
-_ROOT = pathlib.Path(__file__).parents[2]
 _MODES = ('walk_forward', 'leap_forward')
 _SCHEDULE = '--schedule=walk_forward:0.3,leap_forward:0.21'
 _FRAMES, _WIDTH, _HEIGHT = 17, 160, 120
 _SMALL = (f'--width={_WIDTH}', f'--height={_HEIGHT}')
-
-# Answers command lines on stdin, JSON lists, with [code, stdout, stderr].
-_SERVER = """
-import contextlib, io, json, sys
-from absl import flags
-from dmc_multimode.bin import app, record
-from dmc_multimode.viewer import gl
-gl.choose_backend = lambda: None  # The caller has done it.
-OWN = flags.FLAGS.flags_by_module_dict()[record.__name__]
-for line in sys.stdin:
-  for flag in OWN:
-    flag.unparse()
-  out, err = io.StringIO(), io.StringIO()
-  with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-    try:
-      app.run(record.main, ['record', *json.loads(line)])
-    except SystemExit as exit:
-      code = exit.code or 0
-  print(json.dumps([code, out.getvalue(), err.getvalue()]), flush=True)
+# The imports cost seconds.
+_WARM_UP = """
+from dmc_multimode import pretrained
+from dmc_multimode.viewer import camera, rollout
 """
 
 
-class _Done(NamedTuple):
-  code: int
-  stdout: str
-  stderr: str
-
-
-_Record = Callable[..., _Done]
-
-
 @pytest.fixture(scope='module')
-def record() -> Iterator[_Record]:
-  """Runs the binary with the arguments that it is given."""
-  server = subprocess.Popen(
-    [sys.executable, '-c', _SERVER],
-    stdin=subprocess.PIPE,
-    stdout=subprocess.PIPE,
-    stderr=subprocess.PIPE,
-    text=True,
-    cwd=_ROOT,
-  )
-  assert server.stdin and server.stdout and server.stderr
-  requests, answers = server.stdin, server.stdout
-
-  def run(*args: str) -> _Done:
-    print(json.dumps(args), file=requests, flush=True)
-    answer = answers.readline()
-    assert answer, 'the process has died'
-    return _Done(*json.loads(answer))
-
-  yield run
-  requests.close()
-  noise = server.stderr.read()
-  server.wait()
-  assert not noise  # Of logs, above all.
-
-
-def _decode(path: pathlib.Path) -> tuple[np.ndarray, float]:
-  """Frames [T, H, W, 3] and their rate."""
-  with av.open(str(path)) as container:
-    stream = container.streams.video[0]
-    assert stream.codec_context.name == 'h264'
-    assert stream.codec_context.pix_fmt == 'yuv420p'
-    frames = [f.to_ndarray(format='rgb24') for f in container.decode(stream)]
-    assert stream.average_rate is not None
-    return np.stack(frames).astype(int), float(stream.average_rate)
+def record(
+  tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[processes.Binary]:
+  folder = tmp_path_factory.mktemp('output')
+  binary = processes.Binary('record', folder, _WARM_UP)
+  yield binary
+  binary.close()
 
 
 @pytest.fixture(scope='module')
@@ -100,9 +40,19 @@ def policy(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
   return folder
 
 
+def _decode(path: pathlib.Path) -> tuple[np.ndarray, float]:
+  """Frames [T, H, W, 3] and their rate."""
+  with av.open(str(path)) as container:
+    stream = container.streams.video[0]
+    frames = [f.to_ndarray(format='rgb24') for f in container.decode(stream)]
+    assert stream.average_rate is not None
+    return np.stack(frames).astype(int), float(stream.average_rate)
+
+
 @pytest.mark.gl
+@pytest.mark.slow
 def test_video(
-  record: _Record, policy: pathlib.Path, tmp_path: pathlib.Path
+  record: processes.Binary, policy: pathlib.Path, tmp_path: pathlib.Path
 ) -> None:
   out = tmp_path / 'new' / 'video.mp4'
   arguments = (f'--policy={policy}', _SCHEDULE, *_SMALL)
@@ -133,18 +83,15 @@ def test_video(
 
 
 @pytest.mark.gl
+@pytest.mark.slow
 def test_goes_on_after_a_fall(
-  record: _Record, policy: pathlib.Path, tmp_path: pathlib.Path
+  record: processes.Binary, policy: pathlib.Path, tmp_path: pathlib.Path
 ) -> None:
   # An untrained robot soon stays behind its reference.
   arguments = (
-    f'--policy={policy}',
-    '--schedule=walk_forward:0.75,leap_forward:0.15',
-    '--arena=gap',
-    '--camera=egocentric',
-    '--physics_timestep=0.01',
-    '--width=64',
-    '--height=48',
+    *(f'--policy={policy}', '--schedule=walk_forward:0.75,leap_forward:0.15'),
+    *('--arena=gap', '--camera=egocentric', '--physics_timestep=0.01'),
+    *('--width=64', '--height=48'),
   )
   done = record(*arguments, f'--out={tmp_path / "on.mp4"}')
   assert done.code == 0, done.stderr
@@ -156,51 +103,46 @@ def test_goes_on_after_a_fall(
   assert len(_decode(tmp_path / 'end.mp4')[0]) < 30
 
 
-# What is wrong with it, and what the message must name.
-_BAD = (
-  (('--policy=nobody',), 'nobody'),
-  (('--policy=',), '--policy'),
-  (('--schedule=fly:1',), 'fly'),
-  (('--schedule=idle:1',), 'idle'),  # A mode, yet none of this policy's.
-  (('--schedule=walk_forward:0.001',), 'control step'),
-  (('--arena=moon',), 'moon'),
-  (('--camera=nowhere',), 'nowhere'),
-  (('--width=161',), 'width'),
-  (('--slow_motion=0',), 'slow_motion'),
-  (('--out=video.avi',), '.mp4'),
-  ((f'--out={__file__}/below/video.mp4',), 'record_test.py'),
-)
-
-
 @pytest.mark.gl
+@pytest.mark.parametrize(
+  ('flag', 'message'),
+  [
+    ('--policy=nobody', 'nobody'),
+    ('--policy=', '--policy'),
+    ('--schedule=fly:1', 'fly'),
+    ('--schedule=idle:1', 'idle'),  # A mode, yet none of this policy's.
+    ('--schedule=walk_forward:0.001', 'control step'),
+    ('--arena=moon', 'moon'),
+    ('--camera=nowhere', 'nowhere'),
+    ('--width=161', 'width'),
+    ('--slow_motion=0', 'slow_motion'),
+    (f'--out={__file__}/below/video.mp4', 'record_test.py'),
+  ],
+)
 def test_bad_input(
-  record: _Record, policy: pathlib.Path, tmp_path: pathlib.Path
+  record: processes.Binary,
+  policy: pathlib.Path,
+  tmp_path: pathlib.Path,
+  flag: str,
+  message: str,
 ) -> None:
   good = (f'--policy={policy}', f'--out={tmp_path / "new" / "v.mp4"}')
-  for wrong, message in _BAD:
-    done = record(*good, _SCHEDULE, *wrong)
-    assert done.code == 2, (wrong, done.stderr)
-    [line] = done.stderr.splitlines()
-    assert line.startswith('error: ') and message in line, (wrong, line)
+  done = record(*good, _SCHEDULE, flag)
+  assert done.code == 2, done.stderr
+  assert message in done.error
   assert not list(tmp_path.iterdir())
 
 
 def test_no_gl(tmp_path: pathlib.Path) -> None:
-  done = subprocess.run(
-    [
-      *(sys.executable, '-m', 'dmc_multimode.bin.record', '--policy=any'),
-      f'--out={tmp_path / "new" / "v.mp4"}',
-    ],
-    capture_output=True,
-    text=True,
-    cwd=_ROOT,
-    env={
-      **os.environ,
-      '__EGL_VENDOR_LIBRARY_DIRS': '/nonexistent',
-      'MUJOCO_GL': 'egl',
-    },
+  record = processes.Binary('record', tmp_path)
+  nothing = {'__EGL_VENDOR_LIBRARY_DIRS': '/nonexistent', 'MUJOCO_GL': 'egl'}
+  out = tmp_path / 'new' / 'v.mp4'
+  record.start(
+    *('--policy=any', f'--out={out}'),
+    before=f'os.environ.update({nothing!r})',
   )
-  assert done.returncode == 2
-  [line] = done.stderr.splitlines()
-  assert line.startswith('error: ') and 'libegl1' in line
-  assert not list(tmp_path.iterdir())
+  done = record.wait()
+  record.close()
+  assert done.code == 2
+  assert 'libegl1' in done.error
+  assert not out.parent.exists()
