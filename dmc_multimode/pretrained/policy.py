@@ -69,8 +69,19 @@ class Policy:
     """Returns mean actions [B, 10] for flat observations float32 [B, D]."""
     return self.network.act(torch.from_numpy(observations)).numpy()
 
-  def save(self, directory: pathlib.Path) -> None:
-    """Writes the policy's files, each whole or not at all."""
+  def save(self, path: str | os.PathLike[str]) -> None:
+    """Writes the policy's files into a folder, each whole or not at all.
+
+    Raises:
+      OSError: the folder cannot be written.
+      ValueError: the network is none that `load` could build again.
+    """
+    if type(self.network) is not networks.ActorCritic:
+      raise ValueError(
+        f'a {type(self.network).__name__} cannot be saved as a policy: `load` '
+        'builds an ActorCritic alone; keep its weights by torch.save.'
+      )
+    directory = pathlib.Path(path)
     directory.mkdir(parents=True, exist_ok=True)
     description = {
       'format': _FORMAT,

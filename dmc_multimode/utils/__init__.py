@@ -1,0 +1,3 @@
+"""What every room may use: files, configurations, schedules, shipped data."""
+
+__all__ = ['config', 'files', 'lazy', 'resources', 'schedule']

@@ -1,5 +1,7 @@
 """Tests of dmc_multimode.agents.ppo.losses, and of Gaussians."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -80,13 +82,11 @@ def test_advantages_are_means_of_n_step_returns(gae_lambda: float) -> None:
   # Within an episode the value after a step is the one before the next.
   next_values[:-1] = np.where(last[:-1], next_values[:-1], values[1:])
   fields = (rewards, values, next_values, discounts, last)
-  found = losses.generalised_advantages(
-    *map(torch.from_numpy, fields), gae_lambda=gae_lambda
-  )
+  compute: Any = losses.generalised_advantages
+  by_returns: Any = _by_returns
+  found = compute(*map(torch.from_numpy, fields), gae_lambda)
   for world in range(shape[1]):
-    expected = _by_returns(
-      *(f[:, world] for f in fields), gae_lambda=gae_lambda
-    )
+    expected = by_returns(*(f[:, world] for f in fields), gae_lambda)
     np.testing.assert_allclose(found[:, world], expected, atol=1e-12)
 
 
