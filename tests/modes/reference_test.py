@@ -300,18 +300,3 @@ def test_a_step_up_to_the_end_of_the_cycle() -> None:
   swinging, time, length = bank.swing_timing(np.array([0]), np.array([0.9]))
   np.testing.assert_array_equal(swinging, [[True, False]])
   np.testing.assert_allclose((time[0], length[0]), (2 * (0.9 - 0.625), 1.5))
-
-
-def test_index() -> None:
-  bank = reference.ReferenceBank([_motion(), _still()])
-  assert len(bank) == 2
-  assert bank.index('still') == 1
-  with pytest.raises(ValueError, match="'walk'.*test, still"):
-    bank.index('walk')
-
-
-def test_rejects_no_modes_and_duplicates() -> None:
-  with pytest.raises(ValueError, match='at least one'):
-    reference.ReferenceBank([])
-  with pytest.raises(ValueError, match='unique'):
-    reference.ReferenceBank([_still(), _still()])

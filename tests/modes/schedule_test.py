@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import hypothesis
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 
@@ -164,3 +166,23 @@ def test_from_names_rejects(
 def test_parse_rejects(text: str) -> None:
   with pytest.raises(ValueError, match='MODE:SECONDS'):
     schedule.parse(text)
+
+
+@hypothesis.given(
+  st.lists(
+    st.tuples(st.sampled_from(_PI2.names), st.floats(1e-3, 1e3)), min_size=1
+  )
+)
+def test_parse_reads_what_is_written(items: list[tuple[str, float]]) -> None:
+  text = ', '.join(f'{name}:{seconds!r}' for name, seconds in items)
+  assert list(zip(*schedule.parse(text), strict=True)) == items
+
+
+@hypothesis.given(st.text('idle:,. 0123e-+nan', max_size=12))
+def test_parse_answers_or_refuses_in_one_line(text: str) -> None:
+  try:
+    _, durations = schedule.parse(text)
+  except ValueError as error:
+    assert '\n' not in str(error)
+  else:
+    assert min(durations) > 0
