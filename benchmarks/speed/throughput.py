@@ -1,4 +1,4 @@
-"""Control steps per second: raw physics, the two engines, the whole PPO loop.
+"""Environment steps per second: raw physics, both engines, the whole PPO loop.
 
     python -m benchmarks.speed.throughput --modes=pi2 --out=throughput.json
 
@@ -16,7 +16,7 @@ import functools
 import pathlib
 import pstats
 import time
-from typing import Any, Callable, Mapping, Protocol, Sequence
+from typing import Any, Callable, Mapping, Sequence
 
 from absl import flags
 from dm_control import composer
@@ -81,14 +81,8 @@ _PPO = 'PPO loop'
 Row = dict[str, Any]
 
 
-class Contender(Protocol):
-  """Something whose speed is measured."""
-
-  def measure(self, seconds: float) -> dict[str, float]:
-    """Runs for that long; returns control steps per second by name."""
-
-  def close(self) -> None:
-    """Ends what it started."""
+# Runs for that many seconds; returns environment steps per second by name.
+Measure = Callable[[float], dict[str, float]]
 
 
 class _Actions:
@@ -151,61 +145,45 @@ class _Worlds:
         nstep=self.environment.config.substeps
       )
 
-  def close(self) -> None:
-    """Has nothing to end."""
+
+def _measure_composer(
+  config: run_config.RunConfig, actions: _Actions, stack: contextlib.ExitStack
+) -> Measure:
+  """Returns what steps the Composer task in a loop."""
+  environment = _composer(config.modes, config.task, config.seed)
+  stack.callback(environment.close)
+  timestep = [environment.reset()]
+
+  def step() -> None:
+    if timestep[0].last():
+      environment.reset()
+    timestep[0] = environment.step(actions.draw())
+
+  return lambda seconds: {_COMPOSER: _rate(step, 1, seconds)}
 
 
-class _Composer:
-  """The Composer task in a loop."""
+def _measure_processes(
+  config: run_config.RunConfig, actions: _Actions, stack: contextlib.ExitStack
+) -> Measure:
+  """Returns what steps Gymnasium's AsyncVectorEnv, a process a thread."""
+  from gymnasium import vector
 
-  def __init__(self, config: run_config.RunConfig, standing: np.ndarray):
-    self._environment = _composer(config.modes, config.task, config.seed)
-    self._actions = _Actions(standing, config.seed)
-    self._timestep = self._environment.reset()
+  make = functools.partial(_gymnasium, config.modes, config.task)
+  # Forked children would inherit the locks of our threads.
+  environments = vector.AsyncVectorEnv(
+    [make] * config.threads,
+    shared_memory=True,
+    context='spawn',
+    autoreset_mode=vector.AutoresetMode.SAME_STEP,
+  )
+  stack.callback(environments.close)
+  environments.reset(seed=config.seed)
+  count = environments.num_envs
 
-  def measure(self, seconds: float) -> dict[str, float]:
-    """Steps, and resets where an episode has ended."""
-    return {_COMPOSER: _rate(self._step, 1, seconds)}
+  def step() -> None:
+    environments.step(actions.draw(count).astype(np.float32))
 
-  def _step(self) -> None:
-    if self._timestep.last():
-      self._environment.reset()
-    self._timestep = self._environment.step(self._actions.draw())
-
-  def close(self) -> None:
-    """Frees the physics."""
-    self._environment.close()
-
-
-class _Processes:
-  """Gymnasium's AsyncVectorEnv of the Composer task, a process a thread."""
-
-  def __init__(self, config: run_config.RunConfig, standing: np.ndarray):
-    from gymnasium import vector
-
-    make = functools.partial(_gymnasium, config.modes, config.task)
-    self._actions = _Actions(standing, config.seed)
-    # Forked children would inherit the locks of our threads.
-    self._environments = vector.AsyncVectorEnv(
-      [make] * config.threads,
-      shared_memory=True,
-      context='spawn',
-      autoreset_mode=vector.AutoresetMode.SAME_STEP,
-    )
-    self._environments.reset(seed=config.seed)
-
-  def measure(self, seconds: float) -> dict[str, float]:
-    """Steps all processes together; they reset by themselves."""
-    count = self._environments.num_envs
-    return {_ASYNC: _rate(self._step, count, seconds)}
-
-  def _step(self) -> None:
-    actions = self._actions.draw(self._environments.num_envs)
-    self._environments.step(actions.astype(np.float32))
-
-  def close(self) -> None:
-    """Ends the processes."""
-    self._environments.close()
+  return lambda seconds: {_ASYNC: _rate(step, count, seconds)}
 
 
 class _Training:
@@ -229,9 +207,6 @@ class _Training:
   def profile(self, profiler: cProfile.Profile) -> None:
     """Profiles an iteration."""
     profiler.runcall(self._iteration)
-
-  def close(self) -> None:
-    """Has nothing to end."""
 
 
 def _time(function: Callable[[], Any]) -> float:
@@ -281,19 +256,17 @@ def compare(config: run_config.RunConfig) -> list[Row]:
   rates: dict[str, list[float]] = {}
   with contextlib.ExitStack() as stack:
     worlds = _Worlds(config)
-    standing = worlds.environment.standing_action()
-    contenders: list[Contender] = [worlds, _Training(config)]
+    contenders: list[Measure] = [worlds.measure, _Training(config).measure]
     if not _POLICY.value:
+      standing = worlds.environment.standing_action()
       contenders[1:1] = [
-        _Composer(config, standing),
-        _Processes(config, standing),
+        make(config, _Actions(standing, config.seed), stack)
+        for make in (_measure_composer, _measure_processes)
       ]
-    for contender in contenders:
-      stack.callback(contender.close)
     with tqdm.tqdm(total=_ROUNDS.value * len(contenders)) as bar:
       for _ in range(_ROUNDS.value):
-        for contender in contenders:
-          for name, rate in contender.measure(_SECONDS.value).items():
+        for measure in contenders:
+          for name, rate in measure(_SECONDS.value).items():
             rates.setdefault(name, []).append(rate)
           bar.update()
   return [_row(name, rates) for name in rates]
