@@ -1,3 +1,125 @@
-"""Multimodal bipedal locomotion for dm_control."""
+"""Multimodal bipedal locomotion for dm_control.
+
+    import dmc_multimode as dmm
+
+    env = dmm.load('walk_forward')
+    worlds = dmm.make_worlds('pi2', num_worlds=512, seed=0)
+    policy = dmm.load_policy('pi2')
+    result = dmm.plan(policy, arena='gap', seed=0)
+    dmm.record(policy, schedule='walk_forward:2,launch:2', out='video.mp4')
+
+Modes, policies and tracks are given by name or as objects, files and folders as
+`str` or `os.PathLike`. Importing this module loads nothing but itself.
+"""
+
+import dataclasses
+import os
+from typing import Any, Sequence, TYPE_CHECKING
+
+from dmc_multimode.utils import lazy
+
+if TYPE_CHECKING:
+  import dm_env
+  import numpy as np
+
+  from dmc_multimode.arenas.track import Track
+  from dmc_multimode.modes.mode_set import ModeSet
+  from dmc_multimode.planner.replanning import solve as plan
+  from dmc_multimode.pretrained.policy import load as load_policy
+  from dmc_multimode.pretrained.policy import Policy
+  from dmc_multimode.suite.imitation.batched_env import BatchedImitation
+  from dmc_multimode.suite.imitation.config import ImitationConfig
+  from dmc_multimode.viewer.recording import record
 
 __version__ = '0.1.0'
+__all__ = [
+  'Policy',
+  'load',
+  'load_policy',
+  'make_worlds',
+  'plan',
+  'record',
+]
+
+# Name -> module, and its name there if that is another.
+_HOMES = {
+  'Policy': 'pretrained.policy',
+  'load_policy': 'pretrained.policy:load',
+  'plan': 'planner.replanning:solve',
+  'record': 'viewer.recording',
+}
+
+
+def __getattr__(name: str) -> Any:
+  return lazy.find(__name__, _HOMES, name)
+
+
+def __dir__() -> list[str]:
+  return sorted({*globals(), *__all__})
+
+
+def load(task: str, **task_kwargs: Any) -> 'dm_env.Environment':
+  """Returns the environment of a task; see `suite.load`.
+
+  Args:
+    task: its name: a mode, a set of modes, or `reach_` and a track.
+    **task_kwargs: for the task's factory: `random`, a seed; `time_limit`,
+      seconds; `environment_kwargs`; `config` and `arena` of modes and sets;
+      `policy` of the tasks `reach_*`.
+
+  Raises:
+    ValueError: the task is unknown; the message lists those there are.
+  """
+  from dmc_multimode import suite
+
+  return suite.load(suite.DOMAIN, task, task_kwargs)
+
+
+def make_worlds(
+  modes: 'str | Sequence[str] | ModeSet | Policy | os.PathLike[str]',
+  num_worlds: int,
+  seed: 'int | np.random.RandomState' = 0,
+  config: 'ImitationConfig | None' = None,
+  arena: 'str | Track' = 'flat',
+  num_threads: int = 0,
+  auto_reset: bool = True,
+  privileged: bool = False,
+) -> 'BatchedImitation':
+  """Returns many worlds of one task, stepped together; `reset` them first.
+
+  Args:
+    modes: names, as `dmc_multimode.modes.library.mode_set` takes them: one mode
+      is commanded throughout; of several, Algorithm 1 chooses. Or modes of
+      one's own, or a policy or its folder, whose modes these then are.
+    num_worlds: B.
+    seed: of all randomness.
+    config: of the task; that of a policy is by default the one with which it is
+      evaluated.
+    arena: a track or the name of one.
+    num_threads: of the physics; 0 takes every core.
+    auto_reset: whether a world whose episode ends begins the next by itself.
+    privileged: whether observations end with the privileged ones.
+
+  Raises:
+    FileNotFoundError, TypeError: that is no policy.
+    ValueError: a mode or the arena is unknown, or a number out of bounds.
+  """
+  from dmc_multimode.modes import mode_set as mode_set_lib
+  from dmc_multimode.suite import multimode_biped
+  from dmc_multimode.suite.imitation import batched_env
+  from dmc_multimode.suite.imitation import events
+  from dmc_multimode.suite.reaching import environment as reaching_env
+
+  if isinstance(modes, mode_set_lib.ModeSet):
+    task = multimode_biped.make_task(modes, arena=arena, config=config)
+  elif isinstance(modes, Sequence):
+    task = multimode_biped.make_modes_task(modes, config=config, arena=arena)
+  else:
+    policy = reaching_env.load_policy(modes)
+    config = config or dataclasses.replace(policy.config, events=events.NONE)
+    task = multimode_biped.make_task(
+      policy.mode_set, arena=arena, config=config
+    )
+  return batched_env.BatchedImitation(
+    task, num_worlds, seed, num_threads, auto_reset, privileged
+  )

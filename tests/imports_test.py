@@ -22,7 +22,7 @@ _TASK = {'utils', 'modes', 'arenas', 'walkers', 'suite'}
 # Room -> the rooms that it may import. A room is the first name below the
 # package; the package's own `__init__`, the facade, is the room ''.
 _ALLOWED: dict[str, set[str]] = {
-  '': set(),
+  '': {'utils'},
   'utils': {'utils'},
   'modes': {'utils', 'modes'},
   'arenas': {'utils', 'modes', 'arenas'},
@@ -37,10 +37,11 @@ _ALLOWED['evaluation'] = {*_ALLOWED['viewer'], 'evaluation'}
 _ALLOWED['experiments'] = {*_ALLOWED['evaluation'], 'experiments'}
 _ALLOWED['bin'] = {*_ALLOWED['experiments'], 'bin'}
 
-# Module -> the rooms that it may import besides, but only inside functions. The
-# facade is lazy, so that importing it loads nothing heavy. The suite's reaching
-# tasks have a trained policy in them, and are loaded by name as every task is:
-# so the suite must find policies, which know the suite.
+# Module -> the rooms that it may import besides, but only inside functions, or
+# for type checkers alone. The facade is lazy, so that importing it loads
+# nothing heavy. The suite's reaching tasks have a trained policy in them, and
+# are loaded by name as every task is: so the suite must find policies, which
+# know the suite.
 _LATE = {
   _PACKAGE: _ALLOWED['experiments'],
   f'{_PACKAGE}.suite.reaching.environment': {'pretrained'},
@@ -56,16 +57,20 @@ _FOREIGN: dict[str, tuple[set[str], tuple[str, ...]]] = {
 }
 
 
+_TYPES = 'TYPE_CHECKING'
+
+
 def _imported(
   module: str, source: str, is_package: bool
 ) -> Iterator[tuple[str, bool]]:
-  """Dotted names that a module imports, and whether inside a function."""
+  """Dotted names that a module imports, and whether not as it is loaded."""
   tree = ast.parse(source)
   late = {
     node
-    for function in ast.walk(tree)
-    if isinstance(function, (ast.FunctionDef, ast.AsyncFunctionDef))
-    for node in ast.walk(function)
+    for block in ast.walk(tree)
+    if isinstance(block, (ast.FunctionDef, ast.AsyncFunctionDef))
+    or (isinstance(block, ast.If) and ast.unparse(block.test) == _TYPES)
+    for node in ast.walk(block)
   }
   for node in ast.walk(tree):
     if isinstance(node, ast.Import):
@@ -173,6 +178,7 @@ def test_a_wrong_arrow_is_seen(module: str, source: str) -> None:
     ('dmc_multimode.planner.plan', 'from ..suite import load'),
     ('dmc_multimode.agents.core', 'import torch\nimport dmc_multimode'),
     ('dmc_multimode', 'def f():\n  from dmc_multimode import experiments'),
+    ('dmc_multimode', 'if TYPE_CHECKING:\n  from dmc_multimode import suite'),
     ('dmc_multimode.bin.train', 'from dmc_multimode import agents, planner'),
   ],
 )

@@ -242,7 +242,7 @@ def _build(config: run_config.RunConfig) -> setup.Run:
 def _composer(
   modes: str, config: task_config.ImitationConfig, seed: int | None
 ) -> composer.Environment:
-  return multimode_biped.multimode(modes, random=seed, config=config)
+  return multimode_biped.imitation(modes, random=seed, config=config)
 
 
 def _gymnasium(modes: str, config: task_config.ImitationConfig) -> Any:

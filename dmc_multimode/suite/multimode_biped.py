@@ -43,7 +43,7 @@ REWARD_GAINS: Mapping[str, rewards.RewardGains] = {
 
 
 def make_task(
-  mode_set: mode_set_lib.ModeSet,
+  mode_set: str | Sequence[str] | mode_set_lib.ModeSet,
   episodes: episodes_lib.EpisodeInitialiser | None = None,
   arena: str | track.Track = 'flat',
   config: task_config.ImitationConfig | None = None,
@@ -51,14 +51,16 @@ def make_task(
   """Builds an imitation task: the one place where its parts meet.
 
   Args:
-    mode_set: the modes; `library.mode_set` has the library's.
+    mode_set: the modes, or names of the library's: see `library.mode_set`.
     episodes: the episodes; Algorithm 1 by default.
     arena: a track or the name of one.
     config: of the task.
 
   Raises:
-    ValueError: the arena is unknown.
+    ValueError: the arena or a mode is unknown.
   """
+  if not isinstance(mode_set, mode_set_lib.ModeSet):
+    mode_set = library.mode_set(mode_set)
   if isinstance(arena, str):
     arena = track.make(arena)
   config = config or task_config.ImitationConfig()
@@ -99,34 +101,46 @@ def make_environment(
   return composer.Environment(task, random_state=random, **kwargs)
 
 
-def multimode(
+def make_modes_task(
   modes: str | Sequence[str],
   time_limit: float | None = None,
-  random: int | np.random.RandomState | None = None,
-  environment_kwargs: Mapping[str, Any] | None = None,
   config: task_config.ImitationConfig | None = None,
-) -> composer.Environment:
-  """A set of modes and all their transitions, sampled by Algorithm 1."""
+  arena: str | track.Track = 'flat',
+) -> composer_task.Imitation:
+  """Builds the task of a mode or a set of modes of the library.
+
+  One mode is commanded throughout; of several, and of all transitions between
+  them, Algorithm 1 chooses.
+
+  Args:
+    modes: names, as `library.mode_set` takes them.
+    time_limit: seconds; the configuration's by default.
+    config: of the task; the default has the paper's reward weights for the set.
+    arena: a track or the name of one.
+
+  Raises:
+    ValueError: the arena or a mode is unknown, or the time limit is no time.
+  """
   config = config or task_config.ImitationConfig(
     gains=REWARD_GAINS.get(str(modes), _DEFAULT_GAINS)
   )
   if time_limit is not None:
     config = dataclasses.replace(config, time_limit=time_limit)
-  task = make_task(library.mode_set(modes), config=config)
-  return make_environment(task, random, environment_kwargs)
+  mode_set = library.mode_set(modes)
+  episodes = _first() if len(mode_set) == 1 else None
+  return make_task(mode_set, episodes, arena, config)
 
 
-def single_mode(
-  mode: str,
+def imitation(
+  modes: str | Sequence[str],
   time_limit: float | None = None,
   random: int | np.random.RandomState | None = None,
   environment_kwargs: Mapping[str, Any] | None = None,
+  config: task_config.ImitationConfig | None = None,
+  arena: str | track.Track = 'flat',
 ) -> composer.Environment:
-  """One mode, commanded throughout."""
-  config = task_config.ImitationConfig()
-  if time_limit is not None:
-    config = dataclasses.replace(config, time_limit=time_limit)
-  task = make_task(library.mode_set([mode]), _first(), config=config)
+  """A mode or a set of modes to be imitated; see `make_modes_task`."""
+  task = make_modes_task(modes, time_limit, config, arena)
   return make_environment(task, random, environment_kwargs)
 
 
@@ -205,8 +219,8 @@ _EASY = ('idle', 'walk_forward')
 # Not 'benchmarking': dm_control promises actions in [-1, 1] for these, and its
 # benchmark is a fixed set.
 for _mode in library.modes():
-  _register(_mode, single_mode, _mode, 'easy' if _mode in _EASY else 'hard')
+  _register(_mode, imitation, _mode, 'easy' if _mode in _EASY else 'hard')
 for _set in ('pi1', 'pi2', 'pi3', 'pi_all'):
-  _register(_set, multimode, _set, 'hard', 'multimode')
+  _register(_set, imitation, _set, 'hard', 'multimode')
 for _track in reaching.TRACKS:
   _register(f'reach_{_track}', reach, _track, 'hard', 'reaching')

@@ -9,7 +9,8 @@ def find(package: str, homes: Mapping[str, str], name: str) -> Any:
 
   Args:
     package: its `__name__`.
-    homes: for each name that is offered, the module that defines it.
+    homes: for each name that is offered, the module that defines it; with
+      ':NAME' behind it where its name there is another.
     name: which is asked for.
 
   Raises:
@@ -17,5 +18,6 @@ def find(package: str, homes: Mapping[str, str], name: str) -> Any:
   """
   if name not in homes:
     raise AttributeError(f'module {package!r} has no attribute {name!r}')
-  module = importlib.import_module(f'{package}.{homes[name]}')
-  return getattr(module, name)
+  home, _, original = homes[name].partition(':')
+  module = importlib.import_module(f'{package}.{home}')
+  return getattr(module, original or name)

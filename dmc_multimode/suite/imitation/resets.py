@@ -1,7 +1,6 @@
 """The initial state of a robot: on its reference, with noise. No engine."""
 
 import numpy as np
-from scipy.spatial import transform
 
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.suite.imitation import commands
@@ -109,6 +108,8 @@ def _leg_joints(
 
 def _tilted(quaternion: np.ndarray, tilt: np.ndarray) -> np.ndarray:
   """Turns orientations [N, 4] by small roll and pitch angles [N, 2]."""
+  from scipy.spatial import transform  # Late: it takes as long as numpy.
+
   from_quat = transform.Rotation.from_quat
   noise = transform.Rotation.from_rotvec(
     np.column_stack([tilt, np.zeros(len(tilt))])

@@ -1,0 +1,131 @@
+"""The front door: names, what they load, and that commands do the same."""
+
+import dataclasses
+import importlib
+import pathlib
+import pkgutil
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dmc_multimode as dmm
+from dmc_multimode import suite
+from dmc_multimode.arenas import track
+from dmc_multimode.modes import library
+from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.suite.imitation import episodes as episodes_lib
+from dmc_multimode.suite.imitation import events
+
+_PACKAGES = [
+  'dmc_multimode',
+  *(
+    module.name
+    for module in pkgutil.walk_packages(dmm.__path__, 'dmc_multimode.')
+    if module.ispkg and hasattr(importlib.import_module(module.name), '__all__')
+  ),
+]
+_HEAVY = {'av', 'imageio', 'jinja2', 'matplotlib', 'torch', 'viser'}
+
+
+@pytest.mark.parametrize('package', _PACKAGES)
+def test_every_public_name_is_there(package: str) -> None:
+  module = importlib.import_module(package)
+  assert len(module.__all__) == len(set(module.__all__))
+  for name in module.__all__:
+    assert getattr(module, name) is not None
+  assert not hasattr(module, 'no_such_name')
+
+
+def _loaded_by(statement: str) -> set[str]:
+  """Modules that a new process has after a statement."""
+  code = f'{statement}\nimport sys\nprint(*sys.modules)'
+  done = subprocess.run(
+    [sys.executable, '-c', code], capture_output=True, text=True, check=True
+  )
+  return set(done.stdout.split())
+
+
+def test_importing_the_package_loads_nothing_but_itself() -> None:
+  third_party = {'dm_control', 'numpy', 'mujoco', 'pydantic', 'scipy'}
+  assert not _loaded_by('import dmc_multimode') & (_HEAVY | third_party)
+
+
+def test_importing_the_suite_loads_little_beyond_dm_controls() -> None:
+  loaded = _loaded_by('from dmc_multimode import suite')
+  assert 'dm_control.composer' in loaded
+  assert not loaded & (_HEAVY | {'dmc_multimode.pretrained'})
+
+
+def test_load_is_the_suites() -> None:
+  config = task_config.ImitationConfig(time_limit=0.3)
+  for task in ('walk_forward', 'pi2'):
+    env = dmm.load(task, random=1, config=config, arena='plateau')
+    twin = suite.load(
+      'multimode_biped',
+      task,
+      {'random': 1, 'config': config, 'arena': 'plateau'},
+    )
+    ours, theirs = env.reset().observation, twin.reset().observation
+    assert list(ours) == list(theirs)
+    for name, value in ours.items():
+      np.testing.assert_array_equal(value, theirs[name])
+    assert env.task.config is config
+    assert (
+      env.task.root_entity.num_segments == track.make('plateau').num_segments
+    )
+  with pytest.raises(ValueError, match='walk_forward'):
+    dmm.load('fly')
+
+
+def test_worlds_of_names_are_the_tasks_worlds() -> None:
+  worlds = dmm.make_worlds('walk_forward', num_worlds=2, seed=3, num_threads=1)
+  env = dmm.load('walk_forward', random=3)
+  seen = np.concatenate(list(env.reset().observation.values()))
+  assert worlds.reset().shape == (2, seen.size)
+  np.testing.assert_allclose(worlds.reset_alike()[0, 2:6], seen[2:6])
+  assert worlds.mode_set.names == ('walk_forward',)
+  assert isinstance(worlds.episodes, episodes_lib.ScheduledEpisodes)
+  several = dmm.make_worlds(['idle', 'launch'], 1, np.random.RandomState(0))
+  assert isinstance(several.episodes, episodes_lib.TransitionEpisodes)
+  paid = dmm.make_worlds('pi3', 1).config.gains
+  assert paid == multimode_biped.REWARD_GAINS['pi3']
+
+
+def test_worlds_of_a_policy_are_those_it_is_evaluated_in(
+  tmp_path: pathlib.Path,
+) -> None:
+  policy = dmm.load_policy('quickstart')
+  folder = tmp_path / 'mine'
+  policy.save(str(folder))
+  for given in (policy, folder):
+    worlds = dmm.make_worlds(given, 2, arena='gap', privileged=True)
+    assert worlds.mode_set.names == policy.mode_set.names
+    np.testing.assert_array_equal(
+      worlds.mode_set.latents, policy.mode_set.latents
+    )
+    assert worlds.config == dataclasses.replace(
+      policy.config, events=events.NONE
+    )
+    assert worlds.privileged_size
+  mine = dmm.make_worlds(library.mode_set('idle'), 1)
+  assert mine.mode_set.names == ('idle',)
+  thing: Any = 3
+  with pytest.raises(TypeError, match='policy'):
+    dmm.make_worlds(thing, 1)
+
+
+@pytest.mark.parametrize('path', [str, pathlib.Path])
+def test_a_policy_is_saved_and_loaded(
+  path: Any, tmp_path: pathlib.Path
+) -> None:
+  policy = dmm.load_policy('quickstart')
+  policy.save(path(tmp_path / 'mine'))
+  again = dmm.load_policy(path(tmp_path / 'mine'))
+  seen = np.ones((2, 37), dtype=np.float32)
+  np.testing.assert_array_equal(
+    policy.select_action(seen), again.select_action(seen)
+  )
