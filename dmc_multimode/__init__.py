@@ -5,6 +5,7 @@
     env = dmm.load('walk_forward')
     worlds = dmm.make_worlds('pi2', num_worlds=512, seed=0)
     policy = dmm.load_policy('pi2')
+    report = dmm.evaluate(policy, seed=0)
     result = dmm.plan(policy, arena='gap', seed=0)
     dmm.record(policy, schedule='walk_forward:2,launch:2', out='video.mp4')
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
   import numpy as np
 
   from dmc_multimode.arenas.track import Track
+  from dmc_multimode.evaluation.scores import evaluate
   from dmc_multimode.modes.mode_set import ModeSet
   from dmc_multimode.planner.replanning import solve as plan
   from dmc_multimode.pretrained.policy import load as load_policy
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
 __version__ = '0.1.0'
 __all__ = [
   'Policy',
+  'evaluate',
   'load',
   'load_policy',
   'make_worlds',
@@ -44,6 +47,7 @@ __all__ = [
 # Name -> module, and its name there if that is another.
 _HOMES = {
   'Policy': 'pretrained.policy',
+  'evaluate': 'evaluation.scores',
   'load_policy': 'pretrained.policy:load',
   'plan': 'planner.replanning:solve',
   'record': 'viewer.recording',
