@@ -5,6 +5,7 @@
     env = dmm.load('walk_forward')
     worlds = dmm.make_worlds('pi2', num_worlds=512, seed=0)
     policy = dmm.load_policy('pi2')
+    mine = dmm.train('runs/mine', modes='pi2', steps=10_000_000)
     report = dmm.evaluate(policy, seed=0)
     result = dmm.plan(policy, arena='gap', seed=0)
     dmm.record(policy, schedule='walk_forward:2,launch:2', out='video.mp4')
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
   from dmc_multimode.arenas.track import Track
   from dmc_multimode.evaluation.scores import evaluate
+  from dmc_multimode.experiments.training import train
   from dmc_multimode.modes.mode_set import ModeSet
   from dmc_multimode.planner.replanning import solve as plan
   from dmc_multimode.pretrained.policy import load as load_policy
@@ -42,6 +44,7 @@ __all__ = [
   'make_worlds',
   'plan',
   'record',
+  'train',
 ]
 
 # Name -> module, and its name there if that is another.
@@ -51,6 +54,7 @@ _HOMES = {
   'load_policy': 'pretrained.policy:load',
   'plan': 'planner.replanning:solve',
   'record': 'viewer.recording',
+  'train': 'experiments.training',
 }
 
 

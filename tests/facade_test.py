@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib
+import json
 import pathlib
 import pkgutil
 import subprocess
@@ -19,6 +20,7 @@ from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes as episodes_lib
 from dmc_multimode.suite.imitation import events
+from tests.bin import untrained
 
 _PACKAGES = [
   'dmc_multimode',
@@ -129,3 +131,55 @@ def test_a_policy_is_saved_and_loaded(
   np.testing.assert_array_equal(
     policy.select_action(seen), again.select_action(seen)
   )
+
+
+_TASK = task_config.ImitationConfig(time_limit=0.3)
+
+
+def _command(name: str, *flags: str) -> None:
+  command = [sys.executable, '-m', f'dmc_multimode.bin.{name}', *flags]
+  done = subprocess.run(command, capture_output=True, text=True)
+  assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.slow
+def test_evaluate_returns_what_the_command_writes(
+  tmp_path: pathlib.Path,
+) -> None:
+  untrained.save(tmp_path / 'policy', ['idle'], _TASK, {'steps': 0})
+  out = tmp_path / 'report.json'
+  policy, seed = f'--policy={tmp_path / "policy"}', '--seed=3'
+  _command('evaluate', policy, seed, '--episodes=1', f'--out={out}')
+  found = dmm.evaluate(tmp_path / 'policy', seed=3, episodes=1, quiet=True)
+  written = json.loads(out.read_text())
+  written['provenance'].pop('encoder_seed')  # Of the folder, not the policy.
+  assert json.loads(json.dumps(found)) == written
+
+
+@pytest.mark.slow
+def test_train_makes_what_the_command_makes(tmp_path: pathlib.Path) -> None:
+  small = {
+    'seed': 3,
+    'num_worlds': 4,
+    'threads': 1,
+    'one_hot': True,
+    'ppo_rollout_length': 2,
+    'ppo_minibatches': 1,
+    'ppo_hidden_sizes': (8,),
+  }
+  policy = dmm.train(
+    tmp_path / 'ours', modes=['idle', 'launch'], steps=16, **small
+  )
+  small['ppo_hidden_sizes'] = 8
+  given = [f'--{name}={value}' for name, value in small.items()]
+  run_dir = tmp_path / 'theirs'
+  _command(
+    *('train', f'--run_dir={run_dir}', '--modes=idle,launch', '--steps=16'),
+    *given,
+  )
+  seen = np.ones((1, policy.network.observation_size), dtype=np.float32)
+  for other in (dmm.load_policy(run_dir), dmm.load_policy(tmp_path / 'ours')):
+    np.testing.assert_array_equal(
+      other.select_action(seen), policy.select_action(seen)
+    )
+    assert dict(other.provenance)['steps'] == policy.provenance['steps'] == 16

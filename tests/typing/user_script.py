@@ -28,6 +28,8 @@ policy.save(pathlib.Path('copy'))
 step = worlds.step(policy.select_action(worlds.reset()))
 returns = worlds.reset() * step.reward[:, None]
 
+mine = dmm.train('runs/mine', modes='pi2', steps=10_000_000, ppo_discount=0.98)
+assert_type(mine, dmm.Policy)
 report = dmm.evaluate(policy, seed=0)
 assert_type(report, dict[str, Any])
 result = dmm.plan(policy, arena='gap', seed=0)
