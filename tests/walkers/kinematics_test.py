@@ -1,12 +1,11 @@
-"""Tests of dmc_multimode.suite.legs against the compiled robot."""
+"""Tests of dmc_multimode.walkers.kinematics against the compiled robot."""
 
 import functools
 
-from absl.testing import absltest
-from absl.testing import parameterized
 from dm_control import composer
 import mujoco
 import numpy as np
+import pytest
 
 from dmc_multimode.utils import constants
 from dmc_multimode.walkers import kinematics
@@ -54,116 +53,120 @@ def _sole(data: mujoco.MjData, side: str) -> np.ndarray:
   return foot.xpos + corners.T
 
 
-class StandingTest(parameterized.TestCase):
-  @parameterized.parameters(*_HEIGHTS)
-  def test_soles_are_flat_on_the_ground(self, height: float) -> None:
-    data = _standing(height)
-    for side in mini_biped.SIDES:
-      np.testing.assert_allclose(_sole(data, side)[:, 2], 0.0, atol=1e-3)
-      # Flat, more exactly than the sole's place is rounded in the XML.
-      self.assertLess(np.ptp(_sole(data, side)[:, 2]), 1e-6)
+@pytest.mark.parametrize('height', _HEIGHTS)
+def test_soles_are_flat_on_the_ground(height: float) -> None:
+  data = _standing(height)
+  for side in mini_biped.SIDES:
+    np.testing.assert_allclose(_sole(data, side)[:, 2], 0.0, atol=1e-3)
+    # Flat, more exactly than the sole's place is rounded in the XML.
+    assert np.ptp(_sole(data, side)[:, 2]) < 1e-6
 
-  @parameterized.parameters(*_HEIGHTS)
-  def test_soles_stay_under_the_hips(self, height: float) -> None:
-    crouch, data = _standing(constants.STAND_HEIGHT), _standing(height)
-    for side in mini_biped.SIDES:
-      np.testing.assert_allclose(
-        _sole(data, side)[:, :2], _sole(crouch, side)[:, :2], atol=1e-6
-      )
 
-  @parameterized.product(height=_HEIGHTS, climb=(-0.8, 0.7))
-  def test_feet_rest_while_the_trunk_moves(
-    self, height: float, climb: float
-  ) -> None:
-    data, velocity = _standing(height, climb), np.zeros(6)
-    for side in mini_biped.SIDES:
-      foot = _model().geom(f'walker/{side}_foot').id
-      mujoco.mj_objectVelocity(
-        _model(), data, mujoco.mjtObj.mjOBJ_GEOM, foot, velocity, 0
-      )
-      # Metres and radians a second; the XML rounds the crouch to 1e-6.
-      np.testing.assert_allclose(velocity, np.zeros(6), atol=1e-5)
-
-  def test_crouch_is_zero(self) -> None:
-    angles, rates = _standing_joints(
-      np.array([constants.STAND_HEIGHT]), np.zeros(1)
+@pytest.mark.parametrize('height', _HEIGHTS)
+def test_soles_stay_under_the_hips(height: float) -> None:
+  crouch, data = _standing(constants.STAND_HEIGHT), _standing(height)
+  for side in mini_biped.SIDES:
+    np.testing.assert_allclose(
+      _sole(data, side)[:, :2], _sole(crouch, side)[:, :2], atol=1e-6
     )
-    np.testing.assert_allclose(angles, np.zeros((1, 10)), atol=1e-12)
-    np.testing.assert_array_equal(rates, np.zeros((1, 10)))
-
-  def test_legs_are_alike_and_joints_within_their_ranges(self) -> None:
-    heights = np.linspace(kinematics.LOWEST, kinematics.HIGHEST, 20)
-    angles, rates = _standing_joints(heights, np.ones(20))
-    for values in (angles, rates):
-      np.testing.assert_array_equal(values[:, :5], values[:, 5:])
-      np.testing.assert_array_equal(values[:, :2], np.zeros((20, 2)))
-    model = _model()
-    for i, name in enumerate(mini_biped.JOINTS):
-      joint = model.joint(f'walker/{name}')
-      self.assertTrue(joint.limited[0], name)
-      self.assertGreaterEqual(angles[:, i].min(), joint.range[0], name)
-      self.assertLessEqual(angles[:, i].max(), joint.range[1], name)
-
-  @parameterized.parameters((0.0, kinematics.LOWEST), (2.0, kinematics.HIGHEST))
-  def test_height_is_cut_to_what_legs_can_do(
-    self, height: float, bound: float
-  ) -> None:
-    climb = np.array([0.5])
-    found = _standing_joints(np.array([height]), climb)
-    expected = _standing_joints(np.array([bound]), climb)
-    np.testing.assert_array_equal(found, expected)
-    self.assertTrue(np.isfinite(found).all())
-
-  def test_every_row_by_itself(self) -> None:
-    heights, climbs = np.array([0.3, 0.45, 0.9]), np.array([0.0, -1.0, 1.0])
-    kept = heights.copy()
-    together = _standing_joints(heights, climbs)
-    for i in range(3):
-      alone = _standing_joints(heights[i : i + 1], climbs[i : i + 1])
-      for one, other in zip(together, alone, strict=True):
-        np.testing.assert_array_equal(one[i], other[0])
-    np.testing.assert_array_equal(heights, kept)
 
 
-class PlacingTest(parameterized.TestCase):
-  @parameterized.product(
-    forward=(-0.1, 0.0, 0.12), height=(0.42, 0.5, 0.58), rate=(-0.6, 0.0, 0.5)
+@pytest.mark.parametrize('climb', (-0.8, 0.7))
+@pytest.mark.parametrize('height', _HEIGHTS)
+def test_feet_rest_while_the_trunk_moves(height: float, climb: float) -> None:
+  data, velocity = _standing(height, climb), np.zeros(6)
+  for side in mini_biped.SIDES:
+    foot = _model().geom(f'walker/{side}_foot').id
+    mujoco.mj_objectVelocity(
+      _model(), data, mujoco.mjtObj.mjOBJ_GEOM, foot, velocity, 0
+    )
+    # Metres and radians a second; the XML rounds the crouch to 1e-6.
+    np.testing.assert_allclose(velocity, np.zeros(6), atol=1e-5)
+
+
+def test_crouch_is_zero() -> None:
+  angles, rates = _standing_joints(
+    np.array([constants.STAND_HEIGHT]), np.zeros(1)
   )
-  def test_soles_are_where_they_should_be(
-    self, forward: float, height: float, rate: float
-  ) -> None:
-    """The left one; the right one stays under its hip, 5 cm higher."""
-    model, data = _model(), mujoco.MjData(_model())
-    row = lambda left, right: np.array([[left, right]])
-    angles, rates = kinematics.placing(
-      row(forward, 0.0),
-      row(height, height - 0.05),
-      row(rate, 0.0),
-      row(-0.3, 0.4),
+  np.testing.assert_allclose(angles, np.zeros((1, 10)), atol=1e-12)
+  np.testing.assert_array_equal(rates, np.zeros((1, 10)))
+
+
+def test_legs_are_alike_and_joints_within_their_ranges() -> None:
+  heights = np.linspace(kinematics.LOWEST, kinematics.HIGHEST, 20)
+  angles, rates = _standing_joints(heights, np.ones(20))
+  for values in (angles, rates):
+    np.testing.assert_array_equal(values[:, :5], values[:, 5:])
+    np.testing.assert_array_equal(values[:, :2], np.zeros((20, 2)))
+  model = _model()
+  for i, name in enumerate(mini_biped.JOINTS):
+    joint = model.joint(f'walker/{name}')
+    assert joint.limited[0], name
+    assert angles[:, i].min() >= joint.range[0], name
+    assert angles[:, i].max() <= joint.range[1], name
+
+
+@pytest.mark.parametrize(
+  ('height', 'bound'), [(0.0, kinematics.LOWEST), (2.0, kinematics.HIGHEST)]
+)
+def test_height_is_cut_to_what_legs_can_do(height: float, bound: float) -> None:
+  climb = np.array([0.5])
+  found = _standing_joints(np.array([height]), climb)
+  expected = _standing_joints(np.array([bound]), climb)
+  np.testing.assert_array_equal(found, expected)
+  assert np.isfinite(found).all()
+
+
+def test_every_row_by_itself() -> None:
+  heights, climbs = np.array([0.3, 0.45, 0.9]), np.array([0.0, -1.0, 1.0])
+  kept = heights.copy()
+  together = _standing_joints(heights, climbs)
+  for i in range(3):
+    alone = _standing_joints(heights[i : i + 1], climbs[i : i + 1])
+    for one, other in zip(together, alone, strict=True):
+      np.testing.assert_array_equal(one[i], other[0])
+  np.testing.assert_array_equal(heights, kept)
+
+
+@pytest.mark.parametrize('rate', (-0.6, 0.0, 0.5))
+@pytest.mark.parametrize('height', (0.42, 0.5, 0.58))
+@pytest.mark.parametrize('forward', (-0.1, 0.0, 0.12))
+def test_soles_are_where_they_should_be(
+  forward: float, height: float, rate: float
+) -> None:
+  """The left one; the right one stays under its hip, 5 cm higher."""
+  model, data = _model(), mujoco.MjData(_model())
+  row = lambda left, right: np.array([[left, right]])
+  angles, rates = kinematics.placing(
+    row(forward, 0.0),
+    row(height, height - 0.05),
+    row(rate, 0.0),
+    row(-0.3, 0.4),
+  )
+  data.qpos[2], data.qpos[7:], data.qvel[6:] = height, angles[0], rates[0]
+  mujoco.mj_forward(model, data)
+  crouch, velocity = _standing(constants.STAND_HEIGHT), np.zeros(6)
+  for side, x, z, moved in (
+    ('left', forward, 0.0, (rate, 0.0, 0.3)),
+    ('right', 0.0, 0.05, (0.0, 0.0, -0.4)),
+  ):
+    expected = _sole(crouch, side) + [x, 0.0, z]
+    np.testing.assert_allclose(_sole(data, side), expected, atol=1e-5)
+    foot = model.geom(f'walker/{side}_foot').id
+    mujoco.mj_objectVelocity(
+      model, data, mujoco.mjtObj.mjOBJ_GEOM, foot, velocity, 0
     )
-    data.qpos[2], data.qpos[7:], data.qvel[6:] = height, angles[0], rates[0]
-    mujoco.mj_forward(model, data)
-    crouch, velocity = _standing(constants.STAND_HEIGHT), np.zeros(6)
-    for side, x, z, moved in (
-      ('left', forward, 0.0, (rate, 0.0, 0.3)),
-      ('right', 0.0, 0.05, (0.0, 0.0, -0.4)),
-    ):
-      expected = _sole(crouch, side) + [x, 0.0, z]
-      np.testing.assert_allclose(_sole(data, side), expected, atol=1e-5)
-      foot = model.geom(f'walker/{side}_foot').id
-      mujoco.mj_objectVelocity(
-        model, data, mujoco.mjtObj.mjOBJ_GEOM, foot, velocity, 0
-      )
-      np.testing.assert_allclose(velocity[:3], np.zeros(3), atol=1e-5)
-      np.testing.assert_allclose(velocity[3:], moved, atol=1e-5)
-
-  def test_reach_is_cut_to_what_legs_can_do(self) -> None:
-    row = lambda value: np.full((1, 2), value)
-    far = kinematics.placing(row(0.4), row(0.6), row(0.2), row(0.2))
-    self.assertTrue(np.isfinite(far).all())
+    np.testing.assert_allclose(velocity[:3], np.zeros(3), atol=1e-5)
+    np.testing.assert_allclose(velocity[3:], moved, atol=1e-5)
 
 
-class SteppingTest(parameterized.TestCase):
+def test_reach_is_cut_to_what_legs_can_do() -> None:
+  row = lambda value: np.full((1, 2), value)
+  far = kinematics.placing(row(0.4), row(0.6), row(0.2), row(0.2))
+  assert np.isfinite(far).all()
+
+
+class TestStepping:
   _LEFT = np.array([[True, False]])  # Swings.
 
   def test_by_hand(self) -> None:
@@ -184,7 +187,7 @@ class SteppingTest(parameterized.TestCase):
       np.testing.assert_array_equal(values, np.zeros((1, 2)))
     np.testing.assert_array_equal(kinematics.sway(none, 0.1 * one, one), [0.0])
 
-  @parameterized.parameters(0.2, 0.3, 0.5)
+  @pytest.mark.parametrize('length', [0.2, 0.3, 0.5])
   def test_sway_leads_from_step_to_step(self, length: float) -> None:
     """A pendulum over the standing foot is back in the middle in the end."""
     for swinging, side in (self._LEFT, -1.0), (~self._LEFT, 1.0):
@@ -192,16 +195,12 @@ class SteppingTest(parameterized.TestCase):
         kinematics.sway(swinging, np.array([time]), np.array([length]))[0]
       )
       foot, y, v, dt = side * 0.09, 0.0, at(-length / 2), 1e-5
-      self.assertGreater(side * v, 0.1)
+      assert side * v > 0.1
       for i in range(round(length / dt)):
         if i == round(length / dt / 2):
-          self.assertAlmostEqual(v, 0.0, places=3)
-          self.assertBetween(side * y, 0.0, 0.09)
+          assert v == pytest.approx(0.0, abs=0.5e-3)
+          assert 0.0 <= side * y <= 0.09
         v += dt * 9.81 / constants.STAND_HEIGHT * (y - foot)
         y += dt * v
-      self.assertAlmostEqual(y, 0.0, places=3)
-      self.assertAlmostEqual(v, at(length / 2), places=3)
-
-
-if __name__ == '__main__':
-  absltest.main()
+      assert y == pytest.approx(0.0, abs=0.5e-3)
+      assert v == pytest.approx(at(length / 2), abs=0.5e-3)

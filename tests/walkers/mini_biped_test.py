@@ -1,9 +1,7 @@
-"""Tests of dmc_multimode.suite.mini_biped and of xml/mini_biped.xml."""
+"""Tests of dmc_multimode.walkers.mini_biped and of xml/mini_biped.xml."""
 
 from typing import Any
 
-from absl.testing import absltest
-from absl.testing import parameterized
 from dm_control import composer
 from dm_control.composer.variation import distributions
 from dm_control.locomotion.arenas import corridors as corridor_arenas
@@ -12,6 +10,7 @@ from dm_control.locomotion.tasks import corridors as corridor_tasks
 from dm_control.locomotion.tasks import go_to_target
 import mujoco
 import numpy as np
+import pytest
 
 from dmc_multimode.walkers import mini_biped
 
@@ -91,76 +90,77 @@ def _standing(model: mujoco.MjModel) -> mujoco.MjData:
   return data
 
 
-class BodyTest(parameterized.TestCase):
-  def test_mass(self) -> None:
-    model = _model()
-    mass = model.body('walker/trunk').subtreemass[0]
-    self.assertAlmostEqual(mass, 14.05, delta=0.01)
-    self.assertAlmostEqual(model.body('walker/trunk').mass[0], 5.89, delta=1e-9)
-
-  def test_crouch_has_its_soles_on_the_ground(self) -> None:
-    model = _model()
-    self.assertAlmostEqual(
-      _lowest_sole(model, _standing(model)), 0.0, delta=1e-3
-    )
-
-  def test_straight_legs(self) -> None:
-    model = _model(ground=None)
-    data = mujoco.MjData(model)
-    data.qpos[7:] = _STRAIGHT
-    mujoco.mj_kinematics(model, data)
-    self.assertAlmostEqual(-_lowest_sole(model, data), 0.68, delta=5e-3)
-
-  def test_walker_knows_its_parts(self) -> None:
-    walker = mini_biped.MiniBiped()
-    names = lambda elements: tuple(element.name for element in elements)
-    self.assertEqual(names(walker.actuators), mini_biped.JOINTS)
-    self.assertEqual(names(walker.observable_joints), mini_biped.JOINTS)
-    self.assertEqual(names(walker.end_effectors), ('left_foot', 'right_foot'))
-    self.assertEqual(walker.root_body.name, 'trunk')
-    self.assertEqual(walker.egocentric_camera.name, 'egocentric')
-
-  def test_joint_ranges_are_degrees_of_the_published_robot(self) -> None:
-    model = _model()
-    for side in mini_biped.SIDES:
-      for name, low, high in (('hip_yaw', -15, 15), ('hip_roll', -30, 15)):
-        joint = model.joint(f'walker/{side}_{name}')
-        np.testing.assert_allclose(
-          np.degrees(joint.range), [low, high], atol=1e-3
-        )
-        self.assertEqual(model.dof_damping[joint.dofadr[0]], 0.1)
-        self.assertEqual(model.dof_frictionloss[joint.dofadr[0]], 0.1)
+def test_mass() -> None:
+  model = _model()
+  mass = model.body('walker/trunk').subtreemass[0]
+  assert mass == pytest.approx(14.05, abs=0.01)
+  assert (model.body('walker/trunk').mass[0]) == pytest.approx(5.89, abs=1e-9)
 
 
-class ServoTest(parameterized.TestCase):
-  def test_action_is_not_bounded_by_the_joint_ranges(self) -> None:
-    spec = mini_biped.MiniBiped().action_spec
-    self.assertEqual(spec.shape, (10,))
-    np.testing.assert_allclose(spec.maximum, np.full(10, np.pi), atol=1e-5)
-    np.testing.assert_allclose(spec.minimum, np.full(10, -np.pi), atol=1e-5)
+def test_crouch_has_its_soles_on_the_ground() -> None:
+  model = _model()
+  assert _lowest_sole(model, _standing(model)) == pytest.approx(0.0, abs=1e-3)
 
-  def test_torque_is_eq_2(self) -> None:
-    model = _model()
-    data = mujoco.MjData(model)
-    random = np.random.RandomState(0)
-    saturated = free = 0
-    for _ in range(50):
-      data.qpos[2], data.qpos[7:] = 2.0, random.uniform(-1.5, 1.5, 10)
-      data.qvel[:] = 10 * random.standard_normal(16)
-      data.ctrl[:] = random.uniform(-3, 3, 10)
-      mujoco.mj_forward(model, data)
-      wanted = 30 * (data.ctrl - data.qpos[7:]) - 0.5 * data.qvel[6:]
-      saturated += np.sum(np.abs(wanted) > 30)
-      free += np.sum(np.abs(wanted) < 30)
+
+def test_straight_legs() -> None:
+  model = _model(ground=None)
+  data = mujoco.MjData(model)
+  data.qpos[7:] = _STRAIGHT
+  mujoco.mj_kinematics(model, data)
+  assert -_lowest_sole(model, data) == pytest.approx(0.68, abs=5e-3)
+
+
+def test_walker_knows_its_parts() -> None:
+  walker = mini_biped.MiniBiped()
+  names = lambda elements: tuple(element.name for element in elements)
+  assert names(walker.actuators) == mini_biped.JOINTS
+  assert names(walker.observable_joints) == mini_biped.JOINTS
+  assert names(walker.end_effectors) == ('left_foot', 'right_foot')
+  assert walker.root_body.name == 'trunk'
+  assert walker.egocentric_camera.name == 'egocentric'
+
+
+def test_joint_ranges_are_degrees_of_the_published_robot() -> None:
+  model = _model()
+  for side in mini_biped.SIDES:
+    for name, low, high in (('hip_yaw', -15, 15), ('hip_roll', -30, 15)):
+      joint = model.joint(f'walker/{side}_{name}')
       np.testing.assert_allclose(
-        data.qfrc_actuator[6:], np.clip(wanted, -30, 30), atol=1e-9
+        np.degrees(joint.range), [low, high], atol=1e-3
       )
-      np.testing.assert_array_equal(data.qfrc_actuator[:6], np.zeros(6))
-    self.assertGreater(saturated, 50)
-    self.assertGreater(free, 50)
+      assert model.dof_damping[joint.dofadr[0]] == 0.1
+      assert model.dof_frictionloss[joint.dofadr[0]] == 0.1
 
 
-class MirrorTest(parameterized.TestCase):
+def test_action_is_not_bounded_by_the_joint_ranges() -> None:
+  spec = mini_biped.MiniBiped().action_spec
+  assert spec.shape == (10,)
+  np.testing.assert_allclose(spec.maximum, np.full(10, np.pi), atol=1e-5)
+  np.testing.assert_allclose(spec.minimum, np.full(10, -np.pi), atol=1e-5)
+
+
+def test_torque_is_eq_2() -> None:
+  model = _model()
+  data = mujoco.MjData(model)
+  random = np.random.RandomState(0)
+  saturated = free = 0
+  for _ in range(50):
+    data.qpos[2], data.qpos[7:] = 2.0, random.uniform(-1.5, 1.5, 10)
+    data.qvel[:] = 10 * random.standard_normal(16)
+    data.ctrl[:] = random.uniform(-3, 3, 10)
+    mujoco.mj_forward(model, data)
+    wanted = 30 * (data.ctrl - data.qpos[7:]) - 0.5 * data.qvel[6:]
+    saturated += np.sum(np.abs(wanted) > 30)
+    free += np.sum(np.abs(wanted) < 30)
+    np.testing.assert_allclose(
+      data.qfrc_actuator[6:], np.clip(wanted, -30, 30), atol=1e-9
+    )
+    np.testing.assert_array_equal(data.qfrc_actuator[:6], np.zeros(6))
+  assert saturated > 50
+  assert free > 50
+
+
+class TestMirror:
   """Left and right may be exchanged: joints change places, not signs."""
 
   def _mirrored_pose(self, qpos: np.ndarray) -> np.ndarray:
@@ -192,7 +192,10 @@ class MirrorTest(parameterized.TestCase):
     qpos[2] = height - _lowest_sole(model, data)
     return qpos, random.standard_normal(16)
 
-  @parameterized.parameters((2.0, 1e-9, False), (-0.01, 1e-9, True))
+  @pytest.mark.parametrize(
+    ('height', 'tolerance', 'touching'),
+    [(2.0, 1e-9, False), (-0.01, 1e-9, True)],
+  )
   def test_accelerations(
     self, height: float, tolerance: float, touching: bool
   ) -> None:
@@ -225,10 +228,10 @@ class MirrorTest(parameterized.TestCase):
       np.testing.assert_allclose(
         self._mirrored_motion(other) / scale, mine / scale, atol=tolerance
       )
-    self.assertEqual(touches > 0, touching)
+    assert (touches > 0) == touching
 
 
-class SensorTest(parameterized.TestCase):
+class TestSensor:
   def _sensors(
     self, model: mujoco.MjModel, data: mujoco.MjData
   ) -> dict[str, np.ndarray]:
@@ -253,8 +256,8 @@ class SensorTest(parameterized.TestCase):
     np.testing.assert_allclose(
       sensors['orientation'], data.qpos[3:7], atol=1e-9
     )
-    self.assertEqual(sensors['left_foot'][0], 0.0)
-    self.assertEqual(sensors['right_foot'][0], 0.0)
+    assert sensors['left_foot'][0] == 0.0
+    assert sensors['right_foot'][0] == 0.0
 
   def test_at_rest(self) -> None:
     model = _model('lift')
@@ -264,71 +267,73 @@ class SensorTest(parameterized.TestCase):
       sensors['accelerometer'], [0.0, 0.0, 9.81], atol=0.05
     )
     for side in mini_biped.SIDES:
-      self.assertAlmostEqual(sensors[f'{side}_foot'][0], _WEIGHT / 2, delta=1.0)
+      assert (sensors[f'{side}_foot'][0]) == pytest.approx(_WEIGHT / 2, abs=1.0)
 
 
-class StandingTest(parameterized.TestCase):
-  def test_action_balances_gravity(self) -> None:
-    """Half of the weight under each foot leaves nothing to accelerate."""
-    model = _model(ground=None)
-    model.dof_frictionloss[:] = 0.0  # It would hide a small torque.
-    data = mujoco.MjData(model)
-    data.ctrl[:] = mini_biped.standing_action(model)
-    mujoco.mj_forward(model, data)
-    centre = data.body('walker/trunk').subtree_com
-    force = np.array([0.0, 0.0, _WEIGHT / 2])
-    for side in mini_biped.SIDES:
-      foot = data.body(f'walker/{side}_foot')
-      arm = np.array([centre[0], foot.xpos[1], foot.xpos[2]]) - foot.xipos
-      foot.xfrc_applied[:] = np.concatenate([force, np.cross(arm, force)])
-    mujoco.mj_forward(model, data)
-    np.testing.assert_allclose(data.qacc, np.zeros(16), atol=2e-3)
+def test_action_balances_gravity() -> None:
+  """Half of the weight under each foot leaves nothing to accelerate."""
+  model = _model(ground=None)
+  model.dof_frictionloss[:] = 0.0  # It would hide a small torque.
+  data = mujoco.MjData(model)
+  data.ctrl[:] = mini_biped.standing_action(model)
+  mujoco.mj_forward(model, data)
+  centre = data.body('walker/trunk').subtree_com
+  force = np.array([0.0, 0.0, _WEIGHT / 2])
+  for side in mini_biped.SIDES:
+    foot = data.body(f'walker/{side}_foot')
+    arm = np.array([centre[0], foot.xpos[1], foot.xpos[2]]) - foot.xipos
+    foot.xfrc_applied[:] = np.concatenate([force, np.cross(arm, force)])
+  mujoco.mj_forward(model, data)
+  np.testing.assert_allclose(data.qacc, np.zeros(16), atol=2e-3)
 
-  def test_without_it_the_robot_sags(self) -> None:
-    heights = {}
-    model = _model('lift')
-    for name, action in (
-      ('standing', mini_biped.standing_action(_model())),
-      ('zero', np.zeros(10)),
-    ):
-      data = _settle(model, 1.0, action)
-      heights[name] = _STAND_HEIGHT + data.qpos[0]
-    self.assertAlmostEqual(heights['standing'], _STAND_HEIGHT, delta=0.01)
-    self.assertLess(heights['zero'], _STAND_HEIGHT - 0.03)
 
-  @parameterized.parameters((-5.0, 0.0), (0.0, 5.0))
-  def test_feet_stand_on_edges(self, start: float, end: float) -> None:
-    """The ground ends, or begins, under the middle of both feet."""
-    model = _model('lift', ground=(start, end))
-    data = _settle(model, 1.0, mini_biped.standing_action(_model()))
-    loads = []
-    for _ in range(200):  # It rocks a little on the edge: mean of a second.
-      mujoco.mj_step(model, data)
-      self.assertAlmostEqual(data.qpos[0], 0.0, delta=0.02)
-      loads.append(
-        [data.sensor(f'walker/{s}_foot').data[0] for s in mini_biped.SIDES]
-      )
-    np.testing.assert_allclose(
-      np.mean(loads, axis=0), np.full(2, _WEIGHT / 2), atol=5.0
+def test_without_it_the_robot_sags() -> None:
+  heights = {}
+  model = _model('lift')
+  for name, action in (
+    ('standing', mini_biped.standing_action(_model())),
+    ('zero', np.zeros(10)),
+  ):
+    data = _settle(model, 1.0, action)
+    heights[name] = _STAND_HEIGHT + data.qpos[0]
+  assert heights['standing'] == pytest.approx(_STAND_HEIGHT, abs=0.01)
+  assert heights['zero'] < _STAND_HEIGHT - 0.03
+
+
+@pytest.mark.parametrize(('start', 'end'), [(-5.0, 0.0), (0.0, 5.0)])
+def test_feet_stand_on_edges(start: float, end: float) -> None:
+  """The ground ends, or begins, under the middle of both feet."""
+  model = _model('lift', ground=(start, end))
+  data = _settle(model, 1.0, mini_biped.standing_action(_model()))
+  loads = []
+  for _ in range(200):  # It rocks a little on the edge: mean of a second.
+    mujoco.mj_step(model, data)
+    assert data.qpos[0] == pytest.approx(0.0, abs=0.02)
+    loads.append(
+      [data.sensor(f'walker/{s}_foot').data[0] for s in mini_biped.SIDES]
     )
-
-  def test_aliveness(self) -> None:
-    arena = floors.Floor()
-    walker = mini_biped.MiniBiped()
-    walker.create_root_joints(arena.attach(walker))
-    env = composer.Environment(composer.NullTask(arena))
-    physics = env.physics
-    for quaternion, expected in (
-      ([1, 0, 0, 0], 0.0),
-      ([0.5**0.5, 0.5**0.5, 0, 0], -0.5),
-      ([0, 1, 0, 0], -1.0),
-    ):
-      walker.set_pose(physics, quaternion=quaternion)
-      physics.forward()
-      self.assertAlmostEqual(walker.aliveness(physics), expected)
+  np.testing.assert_allclose(
+    np.mean(loads, axis=0), np.full(2, _WEIGHT / 2), atol=5.0
+  )
 
 
-class DmControlTasksTest(parameterized.TestCase):
+def test_aliveness() -> None:
+  arena = floors.Floor()
+  walker = mini_biped.MiniBiped()
+  walker.create_root_joints(arena.attach(walker))
+  env = composer.Environment(composer.NullTask(arena))
+  physics = env.physics
+  for quaternion, expected in (
+    ([1, 0, 0, 0], 0.0),
+    ([0.5**0.5, 0.5**0.5, 0, 0], -0.5),
+    ([0, 1, 0, 0], -1.0),
+  ):
+    walker.set_pose(physics, quaternion=quaternion)
+    physics.forward()
+    assert walker.aliveness(physics) == pytest.approx(expected, abs=1e-7)
+
+
+class TestDmControlTasks:
   """The robot in dm_control's own tasks, as its examples build them."""
 
   def _run(self, task: composer.Task) -> None:
@@ -341,15 +346,16 @@ class DmControlTasksTest(parameterized.TestCase):
     for _ in range(20):
       self._check(time_step, env.observation_spec())
       time_step = env.step(random.uniform(-0.3, 0.3, spec.shape))
-      self.assertTrue(np.isfinite(time_step.reward or 0.0))
+      assert np.isfinite(time_step.reward or 0.0)
     env.close()
 
   def _check(self, time_step: Any, specs: Any) -> None:
-    self.assertIn('walker/joints_pos', time_step.observation)
+    assert ('walker/joints_pos') in time_step.observation
     for name, value in time_step.observation.items():
       specs[name].validate(value)
-      self.assertTrue(np.isfinite(value).all(), name)
+      assert np.isfinite(value).all(), name
 
+  @pytest.mark.slow
   def test_run_through_corridor_with_gaps(self) -> None:
     arena = corridor_arenas.GapsCorridor(
       platform_length=distributions.Uniform(0.3, 2.5),
@@ -377,7 +383,3 @@ class DmControlTasksTest(parameterized.TestCase):
         control_timestep=0.03,
       )
     )
-
-
-if __name__ == '__main__':
-  absltest.main()

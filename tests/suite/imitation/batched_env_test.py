@@ -1,4 +1,4 @@
-"""Tests of dmc_multimode.suite.batched, most of all that it is the same task.
+"""Tests of dmc_multimode.suite.imitation.batched_env.
 
 Composer advances with mj_step2 and mj_step1, the batch with mj_step: in
 floating point that is one and the same. Positions and rewards were found equal
@@ -9,12 +9,11 @@ float32. The tolerances leave room for other processors' instructions, no more.
 import dataclasses
 from typing import Any, Callable
 
-from absl.testing import absltest
-from absl.testing import parameterized
 from dm_control import composer
 import dm_env
 import mujoco
 import numpy as np
+import pytest
 
 from dmc_multimode.arenas import layouts
 from dmc_multimode.arenas import terrain
@@ -85,7 +84,7 @@ def _flat(time_step: dm_env.TimeStep) -> np.ndarray:
   return np.concatenate(list(time_step.observation.values()))
 
 
-class ParityTest(parameterized.TestCase):
+class TestParity:
   """One action sequence and one mode schedule, driven through both engines."""
 
   def _drive(
@@ -115,8 +114,8 @@ class ParityTest(parameterized.TestCase):
       np.testing.assert_allclose(
         other.reward[0], time_step.reward, atol=_TOLERANCE, err_msg=message
       )
-      self.assertEqual(other.discount[0], time_step.discount, message)
-      self.assertEqual(other.last[0], time_step.last(), message)
+      assert other.discount[0] == time_step.discount, message
+      assert other.last[0] == time_step.last(), message
       for mine, theirs in zip(
         env.task.core.terrain, worlds.core.terrain, strict=True
       ):
@@ -134,28 +133,29 @@ class ParityTest(parameterized.TestCase):
       ran.add(int(worlds.core.tracker.state.mode[0]))
       if time_step.last():
         cause = terminations.CAUSES[other.results.causes[0]]
-        self.assertEqual(cause, env.task.termination_cause)
+        assert cause == env.task.termination_cause
         break
     np.testing.assert_allclose(
       worlds.qpos[0], env.physics.data.qpos, atol=_TOLERANCE
     )
     return step, sorted(ran)
 
-  @parameterized.parameters(*layouts.NAMES)
+  @pytest.mark.parametrize('arena', layouts.NAMES)
   def test_every_mode(self, arena: str) -> None:
     env = multimode_biped.make_environment(_task(arena, _ENDLESS), 0, None)
     for mode in range(len(_MOTIONS)):
       steps, ran = self._drive(env, mode)
-      self.assertEqual(steps, _STEPS)
-      self.assertLen(ran, 3)
+      assert steps == _STEPS
+      assert len(ran) == 3
 
-  @parameterized.parameters('flat', 'parkour')
+  @pytest.mark.parametrize('arena', ['flat', 'parkour'])
   def test_terminations(self, arena: str) -> None:
     env = multimode_biped.make_environment(_task(arena, _ENDING), 0, None)
     lengths = [self._drive(env, mode)[0] for mode in range(len(_MOTIONS))]
-    self.assertLess(np.median(lengths), _STEPS)  # Most of them end.
+    assert np.median(lengths) < _STEPS  # Most of them end.
 
-  @parameterized.product(task_config=(_ENDLESS, _ENDING), share=(0.5, 1.0))
+  @pytest.mark.parametrize('share', (0.5, 1.0))
+  @pytest.mark.parametrize('task_config', (_ENDLESS, _ENDING))
   def test_obstacles(
     self, task_config: config.ImitationConfig, share: float
   ) -> None:
@@ -170,16 +170,16 @@ class ParityTest(parameterized.TestCase):
         np.isfinite(ground.starts[0]).sum() > 1
         and not np.isin(ground.tops, (0.0, 0.4)).all()
       )
-    self.assertGreater(sum(met), 1)
+    assert sum(met) > 1
     if task_config.limits is _ENDLESS.limits:
-      self.assertEqual(set(lengths), {_STEPS})
+      assert set(lengths) == ({_STEPS})
     else:
-      self.assertLess(np.median(lengths), _STEPS)
+      assert np.median(lengths) < _STEPS
 
   def test_time_limit(self) -> None:
     task_config = _replace(_ENDLESS, time_limit=0.45)
     env = multimode_biped.make_environment(_task('flat', task_config), 0, None)
-    self.assertEqual(self._drive(env, 0)[0], 15)
+    assert self._drive(env, 0)[0] == 15
 
   def test_first_step_has_all_of_eq_2(self) -> None:
     """dm_control resets without actuation; the damping must not be missing."""
@@ -225,47 +225,48 @@ def _assert_same(mine: Any, other: Any) -> None:
       np.testing.assert_array_equal(a, b)
 
 
-class ManyWorldsTest(parameterized.TestCase):
-  def test_threads_change_nothing(self) -> None:
-    rollouts = []
-    for threads in (1, 2):
-      worlds = batched_env.BatchedImitation(
-        _transitions(), 16, seed=3, num_threads=threads
+def test_threads_change_nothing() -> None:
+  rollouts = []
+  for threads in (1, 2):
+    worlds = batched_env.BatchedImitation(
+      _transitions(), 16, seed=3, num_threads=threads
+    )
+    worlds.reset()
+    rollouts.append(_rollout(worlds, 60))
+  assert (sum(step.last.sum() for step in rollouts[0])) > 16
+  _assert_same(*rollouts)
+
+
+def test_one_seed_one_batch() -> None:
+  observed = [
+    batched_env.BatchedImitation(_transitions(), 4, seed, 1).reset()
+    for seed in (5, 5, 6)
+  ]
+  np.testing.assert_array_equal(observed[0], observed[1])
+  assert not np.array_equal(observed[0], observed[2])
+
+
+def test_worlds_do_not_know_of_each_other() -> None:
+  """Each of several worlds runs as it would alone."""
+  count, steps = 5, 40
+  # Steps are placed with noise from a generator that worlds share.
+  task = _transitions(_replace(_ENDLESS, edge_noise=0.0))
+  kwargs = {'auto_reset': False, 'privileged': True}
+  many = batched_env.BatchedImitation(task, count, 0, 2, **kwargs)
+  many.reset()
+  state = many.state()
+  random = np.random.RandomState(1)
+  actions = random.uniform(-0.5, 0.5, (steps, count, 10))
+  together = [many.step(action) for action in actions]
+  alone = batched_env.BatchedImitation(task, 1, 0, 1, **kwargs)
+  for world in range(count):
+    alone.restore(_one_world(state, world))
+    for step, action in zip(together, actions, strict=True):
+      single = alone.step(action[None, world])
+      np.testing.assert_array_equal(
+        single.observation[0], step.observation[world]
       )
-      worlds.reset()
-      rollouts.append(_rollout(worlds, 60))
-    self.assertGreater(sum(step.last.sum() for step in rollouts[0]), 16)
-    _assert_same(*rollouts)
-
-  def test_one_seed_one_batch(self) -> None:
-    observed = [
-      batched_env.BatchedImitation(_transitions(), 4, seed, 1).reset()
-      for seed in (5, 5, 6)
-    ]
-    np.testing.assert_array_equal(observed[0], observed[1])
-    self.assertFalse(np.array_equal(observed[0], observed[2]))
-
-  def test_worlds_do_not_know_of_each_other(self) -> None:
-    """Each of several worlds runs as it would alone."""
-    count, steps = 5, 40
-    # Steps are placed with noise from a generator that worlds share.
-    task = _transitions(_replace(_ENDLESS, edge_noise=0.0))
-    kwargs = {'auto_reset': False, 'privileged': True}
-    many = batched_env.BatchedImitation(task, count, 0, 2, **kwargs)
-    many.reset()
-    state = many.state()
-    random = np.random.RandomState(1)
-    actions = random.uniform(-0.5, 0.5, (steps, count, 10))
-    together = [many.step(action) for action in actions]
-    alone = batched_env.BatchedImitation(task, 1, 0, 1, **kwargs)
-    for world in range(count):
-      alone.restore(_one_world(state, world))
-      for step, action in zip(together, actions, strict=True):
-        single = alone.step(action[None, world])
-        np.testing.assert_array_equal(
-          single.observation[0], step.observation[world]
-        )
-        self.assertEqual(single.reward[0], step.reward[world])
+      assert single.reward[0] == step.reward[world]
 
 
 def _one_world(
@@ -280,154 +281,156 @@ def _one_world(
   }
 
 
-class AutoResetTest(parameterized.TestCase):
-  @parameterized.parameters(False, True)
-  def test_observations_at_the_seam(self, more: bool) -> None:
-    """What is observed after an end is the next episode's beginning."""
-    worlds, plain = (
-      batched_env.BatchedImitation(
-        _transitions(), 8, 0, 2, auto_reset=again, privileged=more
-      )
-      for again in (True, False)
+@pytest.mark.parametrize('more', [False, True])
+def test_observations_at_the_seam(more: bool) -> None:
+  """What is observed after an end is the next episode's beginning."""
+  worlds, plain = (
+    batched_env.BatchedImitation(
+      _transitions(), 8, 0, 2, auto_reset=again, privileged=more
     )
-    np.testing.assert_array_equal(worlds.reset(), plain.reset())
-    action = np.tile(worlds.standing_action(), (8, 1))
-    while True:
-      step, other = worlds.step(action), plain.step(action)
-      if step.last.any():
-        break
-      self.assertEmpty(step.final_observation)
-    ended = np.flatnonzero(step.last)
-    np.testing.assert_array_equal(step.results.worlds, ended)
+    for again in (True, False)
+  )
+  np.testing.assert_array_equal(worlds.reset(), plain.reset())
+  action = np.tile(worlds.standing_action(), (8, 1))
+  while True:
+    step, other = worlds.step(action), plain.step(action)
+    if step.last.any():
+      break
+    assert not len(step.final_observation)
+  ended = np.flatnonzero(step.last)
+  np.testing.assert_array_equal(step.results.worlds, ended)
+  np.testing.assert_array_equal(
+    step.final_observation, other.observation[ended]
+  )
+  on = ~step.last
+  np.testing.assert_array_equal(step.observation[on], other.observation[on])
+  now = worlds.core.observe(worlds.qpos, worlds.qvel)
+  if more:
+    now |= worlds.core.observe_privileged(worlds.qpos)
+  np.testing.assert_array_equal(step.observation, observations.flatten(now))
+  np.testing.assert_array_equal(
+    worlds.core.tracker.state.step[ended], np.zeros(len(ended))
+  )
+  assert not np.array_equal(step.observation[ended], step.final_observation)
+
+
+def test_results() -> None:
+  """Returns are sums of rewards over horizon times the weights' sum."""
+  gains = rewards.RewardGains().with_weights(
+    position=0.2, orientation=0.3, contact=0.1
+  )
+  task_config = config.ImitationConfig(
+    gains=gains,
+    time_limit=0.9,
+    limits=terminations.TerminationLimits(distance=0.5, reward=0.15),
+  )
+  worlds = batched_env.BatchedImitation(_transitions(task_config), 8, 0, 2)
+  worlds.reset()
+  totals, lengths = np.zeros(8), np.zeros(8, dtype=int)
+  modes = worlds.core.tracker.state.mode.copy()
+  causes: list[int] = []
+  random, stand = np.random.RandomState(0), worlds.standing_action()
+  for _ in range(100):
+    step = worlds.step(stand + random.uniform(-0.1, 0.1, (8, 10)))
+    totals += step.reward
+    lengths += 1
+    ended, results = np.flatnonzero(step.last), step.results
+    np.testing.assert_array_equal(results.worlds, ended)
+    np.testing.assert_array_equal(results.initial, modes[ended])
+    np.testing.assert_array_equal(results.lengths, lengths[ended])
+    np.testing.assert_allclose(results.returns, totals[ended] / (30 * 0.6))
+    timeout = results.causes == 0
+    np.testing.assert_array_equal(results.lengths[timeout], 30)
+    np.testing.assert_array_equal(step.discount[ended], timeout)
+    totals[ended], lengths[ended] = 0.0, 0
+    modes[ended] = worlds.core.tracker.state.mode[ended]
+    causes += results.causes.tolist()
+  assert 0 in causes
+  assert len(set(causes)) > 1
+
+
+def test_sampler_learns_from_results() -> None:
+  worlds = batched_env.BatchedImitation(_transitions(), 8, 0, 2)
+  worlds.reset()
+  sampler = worlds.episodes.sampler  # type: ignore[attr-defined]
+  np.testing.assert_array_equal(sampler.initial_returns, np.zeros(4))
+  _rollout(worlds, 60)
+  assert sampler.initial_returns.max() > 0.0
+
+
+def test_without_it_only_the_first_end_counts() -> None:
+  worlds = batched_env.BatchedImitation(
+    _transitions(_replace(_ENDING, time_limit=0.6)),
+    4,
+    0,
+    1,
+    auto_reset=False,
+  )
+  worlds.reset()
+  steps = _rollout(worlds, 30)
+  ends = np.sum([step.last for step in steps], axis=0)
+  np.testing.assert_array_equal(ends, np.ones(4))
+
+
+@pytest.mark.parametrize('obstacles', (0.0, 0.7))
+@pytest.mark.parametrize('more', (False, True))
+def test_restored_worlds_go_on_bit_for_bit(
+  more: bool, obstacles: float
+) -> None:
+  task = _transitions(_replace(_ENDING, obstacles=obstacles))
+  worlds = batched_env.BatchedImitation(task, 8, 0, 2, privileged=more)
+  worlds.reset()
+  seen = _rollout(worlds, 25)[-1].observation
+  state = worlds.state()
+  copies = {name: value.copy() for name, value in state.items()}
+  first = _rollout(worlds, 50, seed=1)
+  for name, value in state.items():
+    np.testing.assert_array_equal(value, copies[name], err_msg=name)
+  # Its episodes are its own.
+  task = _transitions(_replace(_ENDING, obstacles=obstacles))
+  other = batched_env.BatchedImitation(task, 8, 99, 1, privileged=more)
+  other.reset()
+  observation = other.restore(state)
+  np.testing.assert_array_equal(observation, seen)
+  second = _rollout(other, 50, seed=1)
+  assert (sum(step.last.sum() for step in first)) > 8
+  _assert_same(first, second)
+  np.testing.assert_array_equal(worlds.restore(state), observation)
+  _assert_same(first, _rollout(worlds, 50, seed=1))
+
+
+def test_step_that_is_expected_is_in_it() -> None:
+  """Without it, references would be elsewhere over blocks."""
+  task = _transitions(_replace(_ENDLESS, obstacles=1.0))
+  worlds, other = (
+    batched_env.BatchedImitation(task, 16, seed, 1, privileged=True)
+    for seed in (0, 1)
+  )
+  worlds.reset()
+  _rollout(worlds, 10)
+  tracked = worlds.core.tracker.state
+  expecting = np.isfinite(tracked.edge)
+  assert 1 <= expecting.sum() <= 15
+  np.testing.assert_array_equal(tracked.rise, np.where(expecting, 0.4, 0.0))
+  other.reset()
+  other.restore(worlds.state())
+  for x in (0.0, 0.3, 1.0):
     np.testing.assert_array_equal(
-      step.final_observation, other.observation[ended]
+      other.core.reference(np.full(16, x)).position,
+      worlds.core.reference(np.full(16, x)).position,
     )
-    on = ~step.last
-    np.testing.assert_array_equal(step.observation[on], other.observation[on])
-    now = worlds.core.observe(worlds.qpos, worlds.qvel)
-    if more:
-      now |= worlds.core.observe_privileged(worlds.qpos)
-    np.testing.assert_array_equal(step.observation, observations.flatten(now))
-    np.testing.assert_array_equal(
-      worlds.core.tracker.state.step[ended], np.zeros(len(ended))
-    )
-    self.assertFalse(
-      np.array_equal(step.observation[ended], step.final_observation)
-    )
-
-  def test_results(self) -> None:
-    """Returns are sums of rewards over horizon times the weights' sum."""
-    gains = rewards.RewardGains().with_weights(
-      position=0.2, orientation=0.3, contact=0.1
-    )
-    task_config = config.ImitationConfig(
-      gains=gains,
-      time_limit=0.9,
-      limits=terminations.TerminationLimits(distance=0.5, reward=0.15),
-    )
-    worlds = batched_env.BatchedImitation(_transitions(task_config), 8, 0, 2)
-    worlds.reset()
-    totals, lengths = np.zeros(8), np.zeros(8, dtype=int)
-    modes = worlds.core.tracker.state.mode.copy()
-    causes: list[int] = []
-    random, stand = np.random.RandomState(0), worlds.standing_action()
-    for _ in range(100):
-      step = worlds.step(stand + random.uniform(-0.1, 0.1, (8, 10)))
-      totals += step.reward
-      lengths += 1
-      ended, results = np.flatnonzero(step.last), step.results
-      np.testing.assert_array_equal(results.worlds, ended)
-      np.testing.assert_array_equal(results.initial, modes[ended])
-      np.testing.assert_array_equal(results.lengths, lengths[ended])
-      np.testing.assert_allclose(results.returns, totals[ended] / (30 * 0.6))
-      timeout = results.causes == 0
-      np.testing.assert_array_equal(results.lengths[timeout], 30)
-      np.testing.assert_array_equal(step.discount[ended], timeout)
-      totals[ended], lengths[ended] = 0.0, 0
-      modes[ended] = worlds.core.tracker.state.mode[ended]
-      causes += results.causes.tolist()
-    self.assertIn(0, causes)
-    self.assertGreater(len(set(causes)), 1)
-
-  def test_sampler_learns_from_results(self) -> None:
-    worlds = batched_env.BatchedImitation(_transitions(), 8, 0, 2)
-    worlds.reset()
-    sampler = worlds.episodes.sampler  # type: ignore[attr-defined]
-    np.testing.assert_array_equal(sampler.initial_returns, np.zeros(4))
-    _rollout(worlds, 60)
-    self.assertGreater(sampler.initial_returns.max(), 0.0)
-
-  def test_without_it_only_the_first_end_counts(self) -> None:
-    worlds = batched_env.BatchedImitation(
-      _transitions(_replace(_ENDING, time_limit=0.6)),
-      4,
-      0,
-      1,
-      auto_reset=False,
-    )
-    worlds.reset()
-    steps = _rollout(worlds, 30)
-    ends = np.sum([step.last for step in steps], axis=0)
-    np.testing.assert_array_equal(ends, np.ones(4))
+  lifted = worlds.core.reference(np.full(16, 1.0)).position[expecting, 2]
+  lifted -= worlds.core.tracker.reference().position[expecting, 2]
+  assert lifted.min() < -0.01  # Blocks that are too low.
 
 
-class StateTest(parameterized.TestCase):
-  @parameterized.product(more=(False, True), obstacles=(0.0, 0.7))
-  def test_restored_worlds_go_on_bit_for_bit(
-    self, more: bool, obstacles: float
-  ) -> None:
-    task = _transitions(_replace(_ENDING, obstacles=obstacles))
-    worlds = batched_env.BatchedImitation(task, 8, 0, 2, privileged=more)
-    worlds.reset()
-    seen = _rollout(worlds, 25)[-1].observation
-    state = worlds.state()
-    copies = {name: value.copy() for name, value in state.items()}
-    first = _rollout(worlds, 50, seed=1)
-    for name, value in state.items():
-      np.testing.assert_array_equal(value, copies[name], err_msg=name)
-    # Its episodes are its own.
-    task = _transitions(_replace(_ENDING, obstacles=obstacles))
-    other = batched_env.BatchedImitation(task, 8, 99, 1, privileged=more)
-    other.reset()
-    observation = other.restore(state)
-    np.testing.assert_array_equal(observation, seen)
-    second = _rollout(other, 50, seed=1)
-    self.assertGreater(sum(step.last.sum() for step in first), 8)
-    _assert_same(first, second)
-    np.testing.assert_array_equal(worlds.restore(state), observation)
-    _assert_same(first, _rollout(worlds, 50, seed=1))
-
-  def test_step_that_is_expected_is_in_it(self) -> None:
-    """Without it, references would be elsewhere over blocks."""
-    task = _transitions(_replace(_ENDLESS, obstacles=1.0))
-    worlds, other = (
-      batched_env.BatchedImitation(task, 16, seed, 1, privileged=True)
-      for seed in (0, 1)
-    )
-    worlds.reset()
-    _rollout(worlds, 10)
-    tracked = worlds.core.tracker.state
-    expecting = np.isfinite(tracked.edge)
-    self.assertBetween(expecting.sum(), 1, 15)
-    np.testing.assert_array_equal(tracked.rise, np.where(expecting, 0.4, 0.0))
-    other.reset()
-    other.restore(worlds.state())
-    for x in (0.0, 0.3, 1.0):
-      np.testing.assert_array_equal(
-        other.core.reference(np.full(16, x)).position,
-        worlds.core.reference(np.full(16, x)).position,
-      )
-    lifted = worlds.core.reference(np.full(16, 1.0)).position[expecting, 2]
-    lifted -= worlds.core.tracker.reference().position[expecting, 2]
-    self.assertLess(lifted.min(), -0.01)  # Blocks that are too low.
-
-  def test_rejects_another_number_of_worlds(self) -> None:
-    state = batched_env.BatchedImitation(_transitions(), 3, 0, 1).state()
-    with self.assertRaisesRegex(ValueError, 'same number of worlds'):
-      batched_env.BatchedImitation(_transitions(), 4, 0, 1).restore(state)
+def test_rejects_another_number_of_worlds() -> None:
+  state = batched_env.BatchedImitation(_transitions(), 3, 0, 1).state()
+  with pytest.raises(ValueError, match='same number of worlds'):
+    batched_env.BatchedImitation(_transitions(), 4, 0, 1).restore(state)
 
 
-class CommandTest(parameterized.TestCase):
+class TestCommand:
   """What planners do to worlds."""
 
   def _worlds(
@@ -457,7 +460,7 @@ class CommandTest(parameterized.TestCase):
     observation = worlds.command(np.array([0, 1, _LAUNCH, 0]))
     after = worlds.measure()
     np.testing.assert_array_equal(after['mode'], [0, 1, _LAUNCH, 0])
-    self.assertGreater(before['phase'][0], 0.2)
+    assert before['phase'][0] > 0.2
     np.testing.assert_array_equal(
       after['phase'], before['phase'] * np.array([1, 0, 0, 1])
     )
@@ -490,7 +493,7 @@ class CommandTest(parameterized.TestCase):
     )
 
 
-class SchedulesTest(parameterized.TestCase):
+class TestSchedules:
   """What changes in the course of a training."""
 
   def _worlds(self, **changes: Any) -> batched_env.BatchedImitation:
@@ -533,18 +536,18 @@ class SchedulesTest(parameterized.TestCase):
       shares.append(worlds.core.terrain_events.obstacle_share)
       low.append(bool(np.any(worlds.core.terrain.tops[:, 1] < 0.4)))
     # After 0, 8, 16, ... control steps of all worlds.
-    self.assertEqual(shares, [0.0] * 5 + [0.5] * 4)
-    self.assertEqual(low, [False] * 5 + [True] * 3)
+    assert shares == ([0.0] * 5 + [0.5] * 4)
+    assert low == ([False] * 5 + [True] * 3)
     other = self._worlds(
       obstacles=schedules.Schedule(0.0, 0.5, 40, 40), time_limit=0.06
     )
-    self.assertEqual(other.core.terrain_events.obstacle_share, 0.0)
+    assert other.core.terrain_events.obstacle_share == 0.0
     other.restore(worlds.state())
-    self.assertEqual(other.core.terrain_events.obstacle_share, 0.5)
+    assert other.core.terrain_events.obstacle_share == 0.5
 
   def test_obstacles_may_be_there_from_the_start(self) -> None:
     worlds = self._worlds(obstacles=1.0)
-    self.assertTrue(np.all(worlds.core.terrain.tops[:, 1] < 0.4))
+    assert np.all(worlds.core.terrain.tops[:, 1] < 0.4)
 
   def test_no_obstacle_before_their_time(self) -> None:
     """Worlds run as they do without any."""
@@ -554,7 +557,7 @@ class SchedulesTest(parameterized.TestCase):
       worlds = batched_env.BatchedImitation(task, 8, 0, 1, privileged=True)
       worlds.reset()
       rollouts.append(_rollout(worlds, 40))
-    self.assertGreater(sum(step.last.sum() for step in rollouts[0]), 8)
+    assert (sum(step.last.sum() for step in rollouts[0])) > 8
     _assert_same(*rollouts)
 
   def test_no_obstacle_in_evaluations(self) -> None:
@@ -565,7 +568,7 @@ class SchedulesTest(parameterized.TestCase):
       _rollout(worlds, 20)
       ground = worlds.core.terrain
       later = np.isfinite(ground.starts[:, 1:])
-      self.assertTrue(later.any())
+      assert later.any()
       rises = np.diff(ground.tops, axis=1)[later]
       np.testing.assert_allclose(rises, 0.4, atol=1e-12)  # Launch's own.
       np.testing.assert_array_equal(  # And no gap before it.
@@ -593,7 +596,7 @@ class SchedulesTest(parameterized.TestCase):
       seen.append(centres)
       _rollout(worlds, 4)
     moved = [np.any(a != b) for a, b in zip(seen[:-1], seen[1:], strict=True)]
-    self.assertGreater(sum(moved), 3)
+    assert sum(moved) > 3
 
   def test_pushes_begin(self) -> None:
     """Of all robots in each step here: the interval is a control step."""
@@ -610,10 +613,10 @@ class SchedulesTest(parameterized.TestCase):
     gain = pushed.qvel - plain.qvel
     np.testing.assert_array_equal(gain[:, 2:], 0.0)
     speeds = np.linalg.norm(gain[:, :2], axis=1)
-    self.assertBetween(speeds.min(), 1e-3, 0.3)
-    self.assertBetween(speeds.max(), 0.2, 0.5)
+    assert 1e-3 <= speeds.min() <= 0.3
+    assert 0.2 <= speeds.max() <= 0.5
     ways = np.arctan2(gain[:, 1], gain[:, 0])
-    self.assertGreater(np.ptp(ways), np.pi / 2)
+    assert np.ptp(ways) > (np.pi / 2)
 
   def test_pushes_come_once_in_an_interval(self) -> None:
     worlds = self._worlds(push_speed=1e-6, push_interval=0.3)
@@ -625,9 +628,9 @@ class SchedulesTest(parameterized.TestCase):
       self._step(plain)
       counts += (worlds.qvel[:, :2] != plain.qvel[:, :2]).any(axis=1)
     # 200 steps of 0.03 s are 20 intervals.
-    self.assertBetween(counts.mean(), 14, 26)
+    assert 14 <= counts.mean() <= 26
 
-  @parameterized.parameters(1.0, 0.25, 0.0)
+  @pytest.mark.parametrize('share', [1.0, 0.25, 0.0])
   def test_help_at_take_off(self, share: float) -> None:
     """Phases are 0.03 / 1.1 apart: the take-off at 0.42 is in step 16."""
     worlds, alone = self._worlds(assistance_steps=1000), self._worlds()
@@ -648,9 +651,9 @@ class SchedulesTest(parameterized.TestCase):
       gain[:, :3], np.tile(share * wanted, (8, 1)), atol=0.3 * share
     )
     self._step(worlds)  # And that was it.
-    self.assertLess(worlds.qvel[:, 2].max(), 0.3 + share * wanted[2])
+    assert worlds.qvel[:, 2].max() < (0.3 + share * wanted[2])
 
-  @parameterized.parameters((-np.inf, 0.0), (np.inf, 1.0))
+  @pytest.mark.parametrize(('height', 'share'), [(-np.inf, 0.0), (np.inf, 1.0)])
   def test_help_fades_when_they_survive(
     self, height: float, share: float
   ) -> None:
@@ -658,7 +661,7 @@ class SchedulesTest(parameterized.TestCase):
     worlds = self._worlds(time_limit=0.06, limits=limits, assistance_steps=80)
     for _ in range(60):
       self._step(worlds)
-    self.assertEqual(worlds.assistance.share, share)
+    assert worlds.assistance.share == share
 
   def test_bonus_on_footing(self) -> None:
     """It is paid on top of Eq. 3, and no return counts it."""
@@ -670,12 +673,12 @@ class SchedulesTest(parameterized.TestCase):
       step, other = self._step(worlds), self._step(alone)
       bonuses.append(step.reward - other.reward)
     np.testing.assert_array_equal(step.results.returns, other.results.returns)
-    self.assertLen(step.results.worlds, 8)
+    assert len(step.results.worlds) == 8
     # Two feet down: as wanted at first, as wrong as can be in the end.
     np.testing.assert_allclose(bonuses[4], 0.2, rtol=1e-9)
     np.testing.assert_allclose(bonuses[-1], 0.0, atol=0.01)
 
-  @parameterized.parameters(0.02, 0.04, 0.2)
+  @pytest.mark.parametrize('clearance', [0.02, 0.04, 0.2])
   def test_bonus_on_swinging_feet(self, clearance: float) -> None:
     """In flight it grows with the height of the soles, over a block too."""
     worlds = self._worlds(contact_bonus=0.2)
@@ -708,53 +711,51 @@ class SchedulesTest(parameterized.TestCase):
     worlds.assistance.update(np.full(500, _LAUNCH), survived)
     _rollout(worlds, 10)
     other.restore(worlds.state())
-    self.assertAlmostEqual(other.core.distance_slack, 0.8)
+    assert other.core.distance_slack == pytest.approx(0.8, abs=1e-7)
     _assert_same(_rollout(worlds, 10), _rollout(other, 10))
-    self.assertAlmostEqual(worlds.assistance.share, 0.6)
-    self.assertEqual(other.assistance.share, worlds.assistance.share)
+    assert worlds.assistance.share == pytest.approx(0.6, abs=1e-7)
+    assert other.assistance.share == worlds.assistance.share
 
 
-class DivergenceTest(parameterized.TestCase):
-  """A world that becomes NaN ends, begins anew, and harms no other."""
+def _poison_position(worlds: batched_env.BatchedImitation) -> None:
+  worlds.qpos[2, 0] = np.nan
 
-  def _poison_position(self, worlds: batched_env.BatchedImitation) -> None:
-    worlds.qpos[2, 0] = np.nan
 
-  def _poison_velocity(self, worlds: batched_env.BatchedImitation) -> None:
-    worlds.qvel[2, 8] = np.inf
+def _poison_velocity(worlds: batched_env.BatchedImitation) -> None:
+  worlds.qvel[2, 8] = np.inf
 
-  @parameterized.parameters('_poison_position', '_poison_velocity')
-  def test_it_is_invalid(self, poison: str) -> None:
-    task = _transitions()
-    task.config = _replace(task.config, contact_bonus=0.2)
-    sick, healthy = (
-      batched_env.BatchedImitation(task, 5, 0, 2, privileged=True)
-      for _ in range(2)
+
+@pytest.mark.parametrize('poison', [_poison_position, _poison_velocity])
+def test_diverged_world_begins_anew(
+  poison: Callable[[batched_env.BatchedImitation], None],
+) -> None:
+  task = _transitions()
+  task.config = _replace(task.config, contact_bonus=0.2)
+  sick, healthy = (
+    batched_env.BatchedImitation(task, 5, 0, 2, privileged=True)
+    for _ in range(2)
+  )
+  sick.reset()
+  healthy.reset()
+  poison(sick)
+  action = np.tile(sick.standing_action(), (5, 1))
+  step, other = sick.step(action), healthy.step(action)
+  assert terminations.CAUSES[step.results.causes[0]] == 'non_finite'
+  np.testing.assert_array_equal(step.results.worlds, [2])
+  np.testing.assert_array_equal(step.last, [False, False, True, False, False])
+  np.testing.assert_array_equal(step.discount, [1, 1, 0, 1, 1])
+  assert step.reward[2] == 0.0
+  assert np.isfinite(step.observation).all()
+  assert np.isfinite(step.final_observation).all()
+  others = [0, 1, 3, 4]
+  for name in ('reward', 'observation', 'discount'):
+    np.testing.assert_array_equal(
+      getattr(step, name)[others], getattr(other, name)[others]
     )
-    sick.reset()
-    healthy.reset()
-    apply: Callable[[batched_env.BatchedImitation], None] = getattr(
-      self, poison
-    )
-    apply(sick)
-    action = np.tile(sick.standing_action(), (5, 1))
-    step, other = sick.step(action), healthy.step(action)
-    self.assertEqual(terminations.CAUSES[step.results.causes[0]], 'non_finite')
-    np.testing.assert_array_equal(step.results.worlds, [2])
-    np.testing.assert_array_equal(step.last, [False, False, True, False, False])
-    np.testing.assert_array_equal(step.discount, [1, 1, 0, 1, 1])
-    self.assertEqual(step.reward[2], 0.0)
-    self.assertTrue(np.isfinite(step.observation).all())
-    self.assertTrue(np.isfinite(step.final_observation).all())
-    others = [0, 1, 3, 4]
-    for name in ('reward', 'observation', 'discount'):
-      np.testing.assert_array_equal(
-        getattr(step, name)[others], getattr(other, name)[others]
-      )
-    for _ in range(5):  # And it lives.
-      step = sick.step(action)
-      self.assertTrue(np.isfinite(step.observation).all())
-      self.assertGreater(step.reward[2], 0.0)
+  for _ in range(5):  # And it lives.
+    step = sick.step(action)
+    assert np.isfinite(step.observation).all()
+    assert step.reward[2] > 0.0
 
 
 def _privileged_parts(observation: np.ndarray) -> dict[str, np.ndarray]:
@@ -769,163 +770,165 @@ def _privileged_parts(observation: np.ndarray) -> dict[str, np.ndarray]:
   return parts
 
 
-class PrivilegedTest(parameterized.TestCase):
-  def test_specs(self) -> None:
-    worlds = batched_env.BatchedImitation(
-      _transitions(), 3, 0, 1, privileged=True
-    )
-    latent_dim = worlds.mode_set.latent_dim
-    size = observations.size(latent_dim, privileged=True)
-    self.assertEqual(
-      worlds.privileged_size, size - observations.size(latent_dim)
-    )
-    self.assertEqual(worlds.observation_spec().shape, (size,))
-    self.assertEqual(worlds.reset().shape, (3, size))
+def test_specs_privileged() -> None:
+  worlds = batched_env.BatchedImitation(
+    _transitions(), 3, 0, 1, privileged=True
+  )
+  latent_dim = worlds.mode_set.latent_dim
+  size = observations.size(latent_dim, privileged=True)
+  assert worlds.privileged_size == size - observations.size(latent_dim)
+  assert worlds.observation_spec().shape == (size,)
+  assert worlds.reset().shape == (3, size)
 
-  def test_policy_sees_what_it_saw_without(self) -> None:
-    plain, more = (
-      batched_env.BatchedImitation(_transitions(), 8, 0, 1, privileged=on)
-      for on in (False, True)
-    )
-    np.testing.assert_array_equal(more.reset()[:, :37], plain.reset())
-    steps = _rollout(more, 60)
-    cut = [
-      step._replace(
-        observation=step.observation[:, :37],
-        final_observation=step.final_observation[:, :37],
-      )
-      for step in steps
-    ]
-    self.assertGreater(sum(step.last.sum() for step in cut), 8)
-    _assert_same(cut, _rollout(plain, 60))
 
-  @parameterized.parameters(0.0, 1.0)
-  def test_position_error_and_contact(self, obstacles: float) -> None:
-    """In every step and in every world, also right after a reset."""
-    task = _transitions(_replace(_ENDING, obstacles=obstacles))
-    worlds = batched_env.BatchedImitation(task, 8, 0, 1, privileged=True)
-    observation, touched = worlds.reset(), np.zeros((8, 2))
-    random, stand = np.random.RandomState(0), worlds.standing_action()
-    contacts, ends = [], 0
-    for _ in range(60):
-      parts, measured = _privileged_parts(observation), worlds.measure()
-      error = measured['position'] - measured['reference']
-      np.testing.assert_array_equal(
-        parts['position_error'], error.astype(np.float32)
-      )
-      np.testing.assert_array_equal(parts['contact'], touched)
-      step = worlds.step(stand + random.uniform(-0.4, 0.4, (8, 10)))
-      observation = step.observation
-      ended = step.results.worlds
-      touched = worlds.feet_contact()
-      touched[ended] = 0.0  # Their feet have not touched anything yet.
-      contacts.append(touched)
-      ends += len(ended)
-    self.assertGreater(ends, 8)
-    self.assertBetween(np.mean(contacts), 0.1, 0.9)
+def test_policy_sees_what_it_saw_without() -> None:
+  plain, more = (
+    batched_env.BatchedImitation(_transitions(), 8, 0, 1, privileged=on)
+    for on in (False, True)
+  )
+  np.testing.assert_array_equal(more.reset()[:, :37], plain.reset())
+  steps = _rollout(more, 60)
+  cut = [
+    step._replace(
+      observation=step.observation[:, :37],
+      final_observation=step.final_observation[:, :37],
+    )
+    for step in steps
+  ]
+  assert (sum(step.last.sum() for step in cut)) > 8
+  _assert_same(cut, _rollout(plain, 60))
 
-  def test_contact_at_the_end_is_that_of_the_last_step(self) -> None:
-    limit = _replace(_ENDLESS, time_limit=0.3)
-    worlds = batched_env.BatchedImitation(
-      _transitions(limit), 8, 0, 1, privileged=True
-    )
-    worlds.reset()
-    action = np.tile(worlds.standing_action(), (8, 1))
-    for _ in range(10):
-      step = worlds.step(action)
-    self.assertTrue(step.last.all())
-    before = _privileged_parts(step.final_observation)['contact']
-    self.assertGreater(before.sum(), 8)  # Most of them stand.
-    after = _privileged_parts(step.observation)['contact']
-    np.testing.assert_array_equal(after, np.zeros((8, 2)))
 
-  def test_ground_ahead(self) -> None:
-    """Of worlds on a track: before, over and behind a gap, and of its end."""
-    task = multimode_biped.make_task(
-      _MODE_SET,
-      episodes.ScheduledEpisodes(schedule.single(np.array([0]))),
-      'gap_block',  # Gap from 0.6 to 1.05 m, ground to 1.65 m, 0.4 m up.
-      _ENDLESS,
-    )
-    worlds = batched_env.BatchedImitation(
-      task, 6, 0, 1, auto_reset=False, privileged=True
-    )
-    worlds.reset()
-    worlds.qpos[:, 0] = [0.0, 0.5, 0.8, 1.1, 1.5, 2.0]
-    worlds.qvel[:] = 0.0
-    step = worlds.step(np.tile(worlds.standing_action(), (6, 1)))
-    x = worlds.qpos[:, 0]
-    np.testing.assert_allclose(
-      _privileged_parts(step.observation)['ground_ahead'],
-      [
-        [1.0, 0.0, 0.0],
-        [1.05 - x[1], 0.0, 0.45],
-        [1.05 - x[2], 0.0, 0.45],
-        [1.65 - x[3], 0.4, 0.0],
-        [1.65 - x[4], 0.4, 0.0],
-        [1.0, 0.0, 0.0],
-      ],
-      atol=_FLOAT32,
-    )
-
-  def test_countdown_through_switches(self) -> None:
-    """A step of 0.03 s; commands at steps 5 and 65, and none after that."""
-    modes = [0, 3, 7]
-    plan = schedule.ModeSchedule(
-      np.array([modes]), np.array([[0.0, 0.15, 1.95]]), np.ones(1)
-    )
-    task = multimode_biped.make_task(
-      _MODE_SET, episodes.ScheduledEpisodes(plan), config=_ENDLESS
-    )
-    worlds = batched_env.BatchedImitation(
-      task, 1, 0, 1, auto_reset=False, privileged=True
-    )
-    observation = worlds.reset()
-    for step in range(70):
-      runs = (step >= 5) + (step >= 65)
-      due = (5, 65, np.inf)[runs]
-      coming = modes[min(runs + 1, 2)]
-      parts, count = _privileged_parts(observation), len(_MOTIONS)
-      np.testing.assert_array_equal(
-        observation[:, 2 : 2 + count], _MODE_SET.latents[[modes[runs]]]
-      )
-      np.testing.assert_allclose(
-        parts['countdown'], [[min(0.03 * (due - step), 1.5)]], atol=_FLOAT32
-      )
-      np.testing.assert_array_equal(
-        parts['next_command'], _MODE_SET.latents[[coming]]
-      )
-      observation = worlds.step(worlds.standing_action()[None]).observation
-
-  def test_begins_anew_with_the_next_episode(self) -> None:
-    """After an automatic reset the countdown is that of the new schedule."""
-    plan = schedule.ModeSchedule(
-      np.array([[0, 1], [2, 3]]), np.array([[0.0, 0.9], [0.0, 0.6]]), np.ones(2)
-    )
-    task = multimode_biped.make_task(
-      _MODE_SET,
-      episodes.ScheduledEpisodes(plan),
-      config=_replace(_ENDLESS, time_limit=0.3),
-    )
-    worlds = batched_env.BatchedImitation(task, 2, 0, 1, privileged=True)
-    first = _privileged_parts(worlds.reset())
-    steps = _rollout(worlds, 10, spread=0.0)
-    self.assertTrue(steps[-1].last.all())
-    last = _privileged_parts(steps[-1].final_observation)
-    begun = _privileged_parts(steps[-1].observation)
-    np.testing.assert_allclose(first['countdown'], [[0.9], [0.6]], rtol=1e-6)
-    np.testing.assert_allclose(last['countdown'], [[0.6], [0.3]], rtol=1e-6)
-    np.testing.assert_array_equal(begun['countdown'], first['countdown'])
+@pytest.mark.parametrize('obstacles', [0.0, 1.0])
+def test_position_error_and_contact(obstacles: float) -> None:
+  """In every step and in every world, also right after a reset."""
+  task = _transitions(_replace(_ENDING, obstacles=obstacles))
+  worlds = batched_env.BatchedImitation(task, 8, 0, 1, privileged=True)
+  observation, touched = worlds.reset(), np.zeros((8, 2))
+  random, stand = np.random.RandomState(0), worlds.standing_action()
+  contacts, ends = [], 0
+  for _ in range(60):
+    parts, measured = _privileged_parts(observation), worlds.measure()
+    error = measured['position'] - measured['reference']
     np.testing.assert_array_equal(
-      begun['next_command'], _MODE_SET.latents[[1, 3]]
+      parts['position_error'], error.astype(np.float32)
     )
+    np.testing.assert_array_equal(parts['contact'], touched)
+    step = worlds.step(stand + random.uniform(-0.4, 0.4, (8, 10)))
+    observation = step.observation
+    ended = step.results.worlds
+    touched = worlds.feet_contact()
+    touched[ended] = 0.0  # Their feet have not touched anything yet.
+    contacts.append(touched)
+    ends += len(ended)
+  assert ends > 8
+  assert 0.1 <= np.mean(contacts) <= 0.9
 
 
-class ModelTest(parameterized.TestCase):
+def test_contact_at_the_end_is_that_of_the_last_step() -> None:
+  limit = _replace(_ENDLESS, time_limit=0.3)
+  worlds = batched_env.BatchedImitation(
+    _transitions(limit), 8, 0, 1, privileged=True
+  )
+  worlds.reset()
+  action = np.tile(worlds.standing_action(), (8, 1))
+  for _ in range(10):
+    step = worlds.step(action)
+  assert step.last.all()
+  before = _privileged_parts(step.final_observation)['contact']
+  assert before.sum() > 8  # Most of them stand.
+  after = _privileged_parts(step.observation)['contact']
+  np.testing.assert_array_equal(after, np.zeros((8, 2)))
+
+
+def test_ground_ahead() -> None:
+  """Of worlds on a track: before, over and behind a gap, and of its end."""
+  task = multimode_biped.make_task(
+    _MODE_SET,
+    episodes.ScheduledEpisodes(schedule.single(np.array([0]))),
+    'gap_block',  # Gap from 0.6 to 1.05 m, ground to 1.65 m, 0.4 m up.
+    _ENDLESS,
+  )
+  worlds = batched_env.BatchedImitation(
+    task, 6, 0, 1, auto_reset=False, privileged=True
+  )
+  worlds.reset()
+  worlds.qpos[:, 0] = [0.0, 0.5, 0.8, 1.1, 1.5, 2.0]
+  worlds.qvel[:] = 0.0
+  step = worlds.step(np.tile(worlds.standing_action(), (6, 1)))
+  x = worlds.qpos[:, 0]
+  np.testing.assert_allclose(
+    _privileged_parts(step.observation)['ground_ahead'],
+    [
+      [1.0, 0.0, 0.0],
+      [1.05 - x[1], 0.0, 0.45],
+      [1.05 - x[2], 0.0, 0.45],
+      [1.65 - x[3], 0.4, 0.0],
+      [1.65 - x[4], 0.4, 0.0],
+      [1.0, 0.0, 0.0],
+    ],
+    atol=_FLOAT32,
+  )
+
+
+def test_countdown_through_switches() -> None:
+  """A step of 0.03 s; commands at steps 5 and 65, and none after that."""
+  modes = [0, 3, 7]
+  plan = schedule.ModeSchedule(
+    np.array([modes]), np.array([[0.0, 0.15, 1.95]]), np.ones(1)
+  )
+  task = multimode_biped.make_task(
+    _MODE_SET, episodes.ScheduledEpisodes(plan), config=_ENDLESS
+  )
+  worlds = batched_env.BatchedImitation(
+    task, 1, 0, 1, auto_reset=False, privileged=True
+  )
+  observation = worlds.reset()
+  for step in range(70):
+    runs = (step >= 5) + (step >= 65)
+    due = (5, 65, np.inf)[runs]
+    coming = modes[min(runs + 1, 2)]
+    parts, count = _privileged_parts(observation), len(_MOTIONS)
+    np.testing.assert_array_equal(
+      observation[:, 2 : 2 + count], _MODE_SET.latents[[modes[runs]]]
+    )
+    np.testing.assert_allclose(
+      parts['countdown'], [[min(0.03 * (due - step), 1.5)]], atol=_FLOAT32
+    )
+    np.testing.assert_array_equal(
+      parts['next_command'], _MODE_SET.latents[[coming]]
+    )
+    observation = worlds.step(worlds.standing_action()[None]).observation
+
+
+def test_begins_anew_with_the_next_episode() -> None:
+  """After an automatic reset the countdown is that of the new schedule."""
+  plan = schedule.ModeSchedule(
+    np.array([[0, 1], [2, 3]]), np.array([[0.0, 0.9], [0.0, 0.6]]), np.ones(2)
+  )
+  task = multimode_biped.make_task(
+    _MODE_SET,
+    episodes.ScheduledEpisodes(plan),
+    config=_replace(_ENDLESS, time_limit=0.3),
+  )
+  worlds = batched_env.BatchedImitation(task, 2, 0, 1, privileged=True)
+  first = _privileged_parts(worlds.reset())
+  steps = _rollout(worlds, 10, spread=0.0)
+  assert steps[-1].last.all()
+  last = _privileged_parts(steps[-1].final_observation)
+  begun = _privileged_parts(steps[-1].observation)
+  np.testing.assert_allclose(first['countdown'], [[0.9], [0.6]], rtol=1e-6)
+  np.testing.assert_allclose(last['countdown'], [[0.6], [0.3]], rtol=1e-6)
+  np.testing.assert_array_equal(begun['countdown'], first['countdown'])
+  np.testing.assert_array_equal(
+    begun['next_command'], _MODE_SET.latents[[1, 3]]
+  )
+
+
+class TestModel:
   """What only eyes look at is gone; ParityTest says that the rest stayed."""
 
-  def setUp(self) -> None:
-    super().setUp()
+  def setup_method(self) -> None:
     task = _transitions()
     root = task.root_entity.mjcf_model
     self.whole = mujoco.MjModel.from_xml_string(
@@ -939,15 +942,15 @@ class ModelTest(parameterized.TestCase):
 
   def test_nothing_is_there_to_be_looked_at(self) -> None:
     model, whole = self.model, self.whole
-    self.assertGreater(whole.ncam * whole.nlight, 0)
-    self.assertLess(len(self._colliding(whole)), whole.ngeom)
-    self.assertEqual((model.ncam, model.nlight), (0, 0))
-    self.assertLen(self._colliding(model), model.ngeom)
-    self.assertEqual((model.nsite, model.nsensor), (2, 2))
+    assert whole.ncam * whole.nlight > 0
+    assert len(self._colliding(whole)) < whole.ngeom
+    assert (model.ncam, model.nlight) == (0, 0)
+    assert len(self._colliding(model)) == model.ngeom
+    assert (model.nsite, model.nsensor) == (2, 2)
 
   def test_everything_that_moves_is_there(self) -> None:
     model, whole = self.model, self.whole
-    self.assertEqual(self._colliding(model), self._colliding(whole))
+    assert self._colliding(model) == self._colliding(whole)
     for name in (
       'body_mass',
       'body_inertia',
@@ -964,25 +967,21 @@ class ModelTest(parameterized.TestCase):
       )
 
 
-class SpecTest(parameterized.TestCase):
-  def test_specs(self) -> None:
-    worlds = batched_env.BatchedImitation(_transitions(), 3, 0, 1)
-    self.assertEqual(worlds.observation_spec().shape, (37,))
-    self.assertEqual(worlds.privileged_size, 0)
-    self.assertEqual(worlds.reset().shape, (3, 37))
-    self.assertEqual(worlds.action_spec().shape, (10,))
-    self.assertEqual(worlds.control_timestep, 0.03)
-
-  def test_actions_are_clipped_and_left_alone(self) -> None:
-    worlds = batched_env.BatchedImitation(_transitions(), 2, 0, 1)
-    worlds.reset()
-    actions = np.full((2, 10), 50.0)
-    worlds.step(actions)
-    np.testing.assert_array_equal(actions, np.full((2, 10), 50.0))
-    np.testing.assert_allclose(
-      worlds.physics.batch.bind('ctrl'), np.full((2, 10), np.pi), atol=1e-5
-    )
+def test_specs_spec() -> None:
+  worlds = batched_env.BatchedImitation(_transitions(), 3, 0, 1)
+  assert worlds.observation_spec().shape == (37,)
+  assert worlds.privileged_size == 0
+  assert worlds.reset().shape == (3, 37)
+  assert worlds.action_spec().shape == (10,)
+  assert worlds.control_timestep == 0.03
 
 
-if __name__ == '__main__':
-  absltest.main()
+def test_actions_are_clipped_and_left_alone() -> None:
+  worlds = batched_env.BatchedImitation(_transitions(), 2, 0, 1)
+  worlds.reset()
+  actions = np.full((2, 10), 50.0)
+  worlds.step(actions)
+  np.testing.assert_array_equal(actions, np.full((2, 10), 50.0))
+  np.testing.assert_allclose(
+    worlds.physics.batch.bind('ctrl'), np.full((2, 10), np.pi), atol=1e-5
+  )

@@ -1,8 +1,7 @@
-"""Tests of dmc_multimode.suite.tracking."""
+"""Tests of dmc_multimode.suite.imitation.commands."""
 
-from absl.testing import absltest
-from absl.testing import parameterized
 import numpy as np
+import pytest
 
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set
@@ -65,60 +64,62 @@ def _started(
   return tracker
 
 
-class ClockTest(parameterized.TestCase):
-  def test_phase_runs_with_the_duration(self) -> None:
-    tracker = _started([_GO])
-    phases = []
-    for _ in range(5):
-      tracker.advance()
-      phases.append(tracker.state.phase[0])
-    self.assertEqual(phases, [0.25, 0.5, 0.75, 0.0, 0.25])
-
-  @parameterized.parameters((0.5, 0.125), (2.0, 0.5))
-  def test_clock_rate(self, rate: float, expected: float) -> None:
-    tracker = _started([_GO], clock_rate=rate)
+def test_phase_runs_with_the_duration() -> None:
+  tracker = _started([_GO])
+  phases = []
+  for _ in range(5):
     tracker.advance()
-    self.assertEqual(tracker.state.phase[0], expected)
-
-  def test_periodic_mode_goes_on_where_its_cycle_ended(self) -> None:
-    tracker = _started([_GO], support=0.3)
-    positions = []
-    for _ in range(9):
-      positions.append(tracker.reference().position[0])
-      tracker.advance()
-    expected = np.column_stack(
-      [np.arange(9) * 0.5, np.zeros(9), np.full(9, 0.8)]
-    )
-    np.testing.assert_allclose(positions, expected, atol=1e-12)
-
-  def test_steady_mode_wraps_its_clock_alone(self) -> None:
-    tracker = _started([_STAND])
-    for _ in range(6):
-      tracker.advance()
-    self.assertEqual(tracker.state.phase[0], 0.5)
-    np.testing.assert_array_equal(tracker.state.anchor, np.zeros((1, 3)))
-
-  def test_transient_mode_holds_its_end(self) -> None:
-    tracker = _started([_JUMP])
-    for _ in range(9):
-      tracker.advance()
-    self.assertEqual(tracker.state.phase[0], 1.0)
-    np.testing.assert_allclose(tracker.reference().position, [[1.0, 0.0, 0.9]])
-
-  def test_turning_mode_bends_its_path(self) -> None:
-    tracker = _started([_TURN])
-    for _ in range(4):
-      tracker.advance()
-    np.testing.assert_allclose(tracker.state.heading, [np.pi / 2])
-    for _ in range(4):
-      tracker.advance()
-    # One metre along x, then one along y.
-    np.testing.assert_allclose(
-      tracker.reference().position, [[1.0, 1.0, 0.5]], atol=1e-12
-    )
+    phases.append(tracker.state.phase[0])
+  assert phases == [0.25, 0.5, 0.75, 0.0, 0.25]
 
 
-class CommandTest(parameterized.TestCase):
+@pytest.mark.parametrize(('rate', 'expected'), [(0.5, 0.125), (2.0, 0.5)])
+def test_clock_rate(rate: float, expected: float) -> None:
+  tracker = _started([_GO], clock_rate=rate)
+  tracker.advance()
+  assert tracker.state.phase[0] == expected
+
+
+def test_periodic_mode_goes_on_where_its_cycle_ended() -> None:
+  tracker = _started([_GO], support=0.3)
+  positions = []
+  for _ in range(9):
+    positions.append(tracker.reference().position[0])
+    tracker.advance()
+  expected = np.column_stack([np.arange(9) * 0.5, np.zeros(9), np.full(9, 0.8)])
+  np.testing.assert_allclose(positions, expected, atol=1e-12)
+
+
+def test_steady_mode_wraps_its_clock_alone() -> None:
+  tracker = _started([_STAND])
+  for _ in range(6):
+    tracker.advance()
+  assert tracker.state.phase[0] == 0.5
+  np.testing.assert_array_equal(tracker.state.anchor, np.zeros((1, 3)))
+
+
+def test_transient_mode_holds_its_end() -> None:
+  tracker = _started([_JUMP])
+  for _ in range(9):
+    tracker.advance()
+  assert tracker.state.phase[0] == 1.0
+  np.testing.assert_allclose(tracker.reference().position, [[1.0, 0.0, 0.9]])
+
+
+def test_turning_mode_bends_its_path() -> None:
+  tracker = _started([_TURN])
+  for _ in range(4):
+    tracker.advance()
+  np.testing.assert_allclose(tracker.state.heading, [np.pi / 2])
+  for _ in range(4):
+    tracker.advance()
+  # One metre along x, then one along y.
+  np.testing.assert_allclose(
+    tracker.reference().position, [[1.0, 1.0, 0.5]], atol=1e-12
+  )
+
+
+class TestCommand:
   def _run(self, tracker: commands.ModeTracker, steps: int) -> list[int]:
     """Steps with the robot at (5, 6, 0.4) on a support of 0.2; new modes."""
     taken = []
@@ -133,22 +134,22 @@ class CommandTest(parameterized.TestCase):
 
   def test_reference_is_anchored_where_the_robot_is(self) -> None:
     tracker = _started([_GO, _JUMP], [0.0, 0.75])
-    self.assertEqual(self._run(tracker, 2), [])
+    assert self._run(tracker, 2) == []
     np.testing.assert_allclose(tracker.reference().position, [[1.0, 0.0, 0.5]])
-    self.assertEqual(self._run(tracker, 1), [_JUMP])
-    self.assertEqual(tracker.state.phase[0], 0.0)
+    assert self._run(tracker, 1) == [_JUMP]
+    assert tracker.state.phase[0] == 0.0
     np.testing.assert_allclose(tracker.reference().position, [[5.0, 6.0, 0.7]])
 
   def test_equal_command_lets_the_mode_continue(self) -> None:
     tracker = _started([_GO, _GO, _STAND], [0.0, 0.5, 1.5])
-    self.assertEqual(self._run(tracker, 5), [])
-    self.assertEqual(tracker.state.phase[0], 0.25)
+    assert self._run(tracker, 5) == []
+    assert tracker.state.phase[0] == 0.25
     np.testing.assert_allclose(tracker.reference().position, [[2.5, 0.0, 0.5]])
-    self.assertEqual(self._run(tracker, 1), [_STAND])
+    assert self._run(tracker, 1) == [_STAND]
 
   def test_last_command_stays_in_force(self) -> None:
     tracker = _started([_GO, _STAND], [0.0, 0.25])
-    self.assertEqual(self._run(tracker, 20), [_STAND])
+    assert self._run(tracker, 20) == [_STAND]
 
   def test_heading_is_the_commanded_one(self) -> None:
     tracker = _started([_TURN, _GO], [0.0, 0.5])
@@ -167,7 +168,9 @@ class CommandTest(parameterized.TestCase):
     self._run(tracker, 1)
     np.testing.assert_array_equal(tracker.commands(), [[0, 0, 1, 0]])
 
-  @parameterized.parameters((True, 1.0), (False, 0.82))
+  @pytest.mark.parametrize(
+    ('commands_from_ground', 'expected'), [(True, 1.0), (False, 0.82)]
+  )
   def test_launch_is_left_only_when_it_is_over(
     self, commands_from_ground: bool, expected: float
   ) -> None:
@@ -197,7 +200,7 @@ class CommandTest(parameterized.TestCase):
     np.testing.assert_allclose(left, [expected] * count, atol=half)
 
 
-class ExpectedSupportTest(parameterized.TestCase):
+class TestExpectedSupport:
   """The step that a mode is about to climb."""
 
   def _expecting(self) -> commands.ModeTracker:
@@ -212,11 +215,14 @@ class ExpectedSupportTest(parameterized.TestCase):
     tracker.expect_ledge(np.array([1, 2]), np.array([0.25, np.inf]), 0.4)
     return tracker
 
-  @parameterized.parameters(
-    (0.0, (0.0, 0.1, 0.2)),
-    (0.2499, (0.0, 0.1, 0.2)),
-    (0.25, (0.0, 0.5, 0.2)),  # An edge belongs to what starts there.
-    (100.0, (0.0, 0.5, 0.2)),  # And one that is nowhere is never reached.
+  @pytest.mark.parametrize(
+    ('x', 'expected'),
+    [
+      (0.0, (0.0, 0.1, 0.2)),
+      (0.2499, (0.0, 0.1, 0.2)),
+      (0.25, (0.0, 0.5, 0.2)),
+      (100.0, (0.0, 0.5, 0.2)),
+    ],
   )
   def test_by_hand(
     self, x: float, expected: tuple[float, float, float]
@@ -238,8 +244,8 @@ class ExpectedSupportTest(parameterized.TestCase):
     np.testing.assert_array_equal(
       tracker.expected_support(far), [0.0, 0.5, 0.2]
     )
-    self.assertEqual(tracker.state.edge[1], np.inf)
-    self.assertEqual(tracker.state.rise[1], 0.0)
+    assert tracker.state.edge[1] == np.inf
+    assert tracker.state.rise[1] == 0.0
 
   def test_next_episode_forgets_the_step(self) -> None:
     tracker, far = self._expecting(), np.full(3, 9.0)
@@ -253,12 +259,12 @@ class ExpectedSupportTest(parameterized.TestCase):
     tracker = self._expecting()
     for _ in range(9):
       tracker.advance()
-      self.assertEmpty(tracker.pop_due_commands()[0])
+      assert not len(tracker.pop_due_commands()[0])
     np.testing.assert_array_equal(tracker.state.edge, [np.inf, 0.25, np.inf])
-    self.assertEqual(tracker.expected_support(np.full(3, 0.3))[1], 0.5)
+    assert tracker.expected_support(np.full(3, 0.3))[1] == 0.5
 
 
-class UpcomingTest(parameterized.TestCase):
+class TestUpcoming:
   """What is commanded next; `_TIMESTEP` is 0.25 s."""
 
   def _assert_upcoming(
@@ -293,7 +299,7 @@ class UpcomingTest(parameterized.TestCase):
     tracker.advance()
     self._assert_upcoming(tracker, 0.0, _STAND)
 
-  @parameterized.parameters(1, 3)
+  @pytest.mark.parametrize('max_knots', [1, 3])
   def test_single_command(self, max_knots: int) -> None:
     tracker = _tracker(max_knots=max_knots)
     plan = schedule.single(np.array([_JUMP]))
@@ -331,30 +337,32 @@ class UpcomingTest(parameterized.TestCase):
     np.testing.assert_array_equal(latents, np.eye(4)[[_STAND, _JUMP, _JUMP]])
 
 
-class RowsTest(parameterized.TestCase):
-  def test_reference_of_some_worlds(self) -> None:
-    motions = tuple(library.modes().values())
-    count = len(motions)
-    tracker = commands.ModeTracker(mode_set.one_hot(motions), 0.03, count, 1)
-    random = np.random.RandomState(0)
-    tracker.reset(
-      np.arange(count),
-      schedule.single(np.arange(count)),
-      random.uniform(size=count),
-      random.uniform(size=count),
-    )
-    tracker.state.heading[:] = random.uniform(-3, 3, count)
-    tracker.state.anchor[:] = random.uniform(-3, 3, (count, 3))
-    every = tracker.reference()
-    self.assertGreater(np.ptp(every.position[:, :2]), 1.0)
-    for ids in (np.array([7, 2, 9]), np.zeros(0, dtype=np.int64), slice(3, 5)):
-      some = tracker.reference(ids)
-      for mine, expected in zip(some, every, strict=True):
-        np.testing.assert_array_equal(mine, expected[ids])
+def test_reference_of_some_worlds() -> None:
+  motions = tuple(library.modes().values())
+  count = len(motions)
+  tracker = commands.ModeTracker(mode_set.one_hot(motions), 0.03, count, 1)
+  random = np.random.RandomState(0)
+  tracker.reset(
+    np.arange(count),
+    schedule.single(np.arange(count)),
+    random.uniform(size=count),
+    random.uniform(size=count),
+  )
+  tracker.state.heading[:] = random.uniform(-3, 3, count)
+  tracker.state.anchor[:] = random.uniform(-3, 3, (count, 3))
+  every = tracker.reference()
+  assert np.ptp(every.position[:, :2]) > 1.0
+  for ids in (np.array([7, 2, 9]), np.zeros(0, dtype=np.int64), slice(3, 5)):
+    some = tracker.reference(ids)
+    for mine, expected in zip(some, every, strict=True):
+      np.testing.assert_array_equal(mine, expected[ids])
 
-  @parameterized.parameters(
+
+@pytest.mark.parametrize(
+  ('name', 'phase', 'expected'),
+  [
     ('idle', 0.5, False),
-    ('walk_forward', 0.3, False),  # One foot is enough.
+    ('walk_forward', 0.3, False),
     ('hop_forward', 0.65, False),
     ('hop_forward', 0.68, True),
     ('leap_left', 0.41, False),
@@ -363,96 +371,96 @@ class RowsTest(parameterized.TestCase):
     ('leap_left', 0.71, False),
     ('launch', 0.81, True),
     ('launch', 1.0, False),
-  )
-  def test_airborne(self, name: str, phase: float, expected: bool) -> None:
-    motions = tuple(library.modes().values())
-    tracker = commands.ModeTracker(mode_set.one_hot(motions), 0.03, 2, 1)
-    mode = tracker.bank.index(name)
-    # The other world stands, whatever its phase.
-    plan = schedule.single(np.array([tracker.bank.index('idle'), mode]))
-    both = np.arange(2)
-    tracker.reset(both, plan, np.array([0.5, phase]), np.zeros(2))
-    np.testing.assert_array_equal(tracker.airborne(both), [False, expected])
-    np.testing.assert_array_equal(
-      tracker.airborne(both[::-1]), [expected, False]
-    )
-
-  def test_mode_without_contacts_is_never_airborne(self) -> None:
-    tracker = _started([_JUMP], phase=0.5)
-    np.testing.assert_array_equal(tracker.airborne(_FIRST), [False])
+  ],
+)
+def test_airborne(name: str, phase: float, expected: bool) -> None:
+  motions = tuple(library.modes().values())
+  tracker = commands.ModeTracker(mode_set.one_hot(motions), 0.03, 2, 1)
+  mode = tracker.bank.index(name)
+  # The other world stands, whatever its phase.
+  plan = schedule.single(np.array([tracker.bank.index('idle'), mode]))
+  both = np.arange(2)
+  tracker.reset(both, plan, np.array([0.5, phase]), np.zeros(2))
+  np.testing.assert_array_equal(tracker.airborne(both), [False, expected])
+  np.testing.assert_array_equal(tracker.airborne(both[::-1]), [expected, False])
 
 
-class TakeOffsTest(parameterized.TestCase):
-  @parameterized.parameters(
+def test_mode_without_contacts_is_never_airborne() -> None:
+  tracker = _started([_JUMP], phase=0.5)
+  np.testing.assert_array_equal(tracker.airborne(_FIRST), [False])
+
+
+@pytest.mark.parametrize(
+  ('name', 'phase', 'clock_rate', 'expected'),
+  [
     ('launch', 0.40, 1.0, True),
-    ('launch', 0.38, 1.0, False),  # 0.03 / 1.1 = 0.027: not there yet.
+    ('launch', 0.38, 1.0, False),
     ('launch', 0.38, 2.0, True),
-    ('launch', 0.42, 1.0, False),  # Passed already.
+    ('launch', 0.42, 1.0, False),
     ('launch', 1.0, 1.0, False),
-    ('leap_forward', 0.40, 1.0, False),  # It may be left at any time.
-  )
-  def test_who_and_how_fast(
-    self, name: str, phase: float, clock_rate: float, expected: bool
-  ) -> None:
-    motions = tuple(library.modes().values())
-    tracker = commands.ModeTracker(mode_set.one_hot(motions), 0.03, 2, 1)
-    # The other world stands, whatever its phase.
-    index = tracker.bank.index
-    plan = schedule.single(np.array([index('idle'), index(name)]), clock_rate)
-    tracker.reset(np.arange(2), plan, np.array([0.5, phase]), np.zeros(2))
-    tracker.state.heading[:] = np.pi / 2
-    tracker.advance()
-    ids, velocity = tracker.take_offs()
-    self.assertEqual(ids.tolist(), [1] if expected else [])
-    if expected:
-      x, _, z = tracker.bank.start_velocity(
-        np.array([index('launch')]), np.array([0.42])
-      )[0]
-      self.assertGreater(z, 2.0)
-      np.testing.assert_allclose(
-        velocity, [clock_rate * np.array([0.0, x, z])], atol=1e-12
-      )
-
-
-class ResetTest(parameterized.TestCase):
-  def test_worlds_are_independent(self) -> None:
-    tracker = _tracker(num_worlds=3)
-    tracker.reset(
-      np.arange(3),
-      schedule.single(np.array([_GO, _STAND, _JUMP])),
-      np.array([0.0, 0.25, 0.5]),
-      np.array([0.0, 0.1, 0.2]),
+    ('leap_forward', 0.40, 1.0, False),
+  ],
+)
+def test_who_and_how_fast(
+  name: str, phase: float, clock_rate: float, expected: bool
+) -> None:
+  motions = tuple(library.modes().values())
+  tracker = commands.ModeTracker(mode_set.one_hot(motions), 0.03, 2, 1)
+  # The other world stands, whatever its phase.
+  index = tracker.bank.index
+  plan = schedule.single(np.array([index('idle'), index(name)]), clock_rate)
+  tracker.reset(np.arange(2), plan, np.array([0.5, phase]), np.zeros(2))
+  tracker.state.heading[:] = np.pi / 2
+  tracker.advance()
+  ids, velocity = tracker.take_offs()
+  assert ids.tolist() == ([1] if expected else [])
+  if expected:
+    x, _, z = tracker.bank.start_velocity(
+      np.array([index('launch')]), np.array([0.42])
+    )[0]
+    assert z > 2.0
+    np.testing.assert_allclose(
+      velocity, [clock_rate * np.array([0.0, x, z])], atol=1e-12
     )
+
+
+def test_worlds_are_independent() -> None:
+  tracker = _tracker(num_worlds=3)
+  tracker.reset(
+    np.arange(3),
+    schedule.single(np.array([_GO, _STAND, _JUMP])),
+    np.array([0.0, 0.25, 0.5]),
+    np.array([0.0, 0.1, 0.2]),
+  )
+  tracker.advance()
+  np.testing.assert_array_equal(tracker.state.phase, [0.25, 0.5, 0.75])
+  plan = schedule.single(np.array([_JUMP]))
+  tracker.reset(np.array([1]), plan, np.zeros(1), np.array([0.7]))
+  np.testing.assert_array_equal(tracker.state.mode, [_GO, _JUMP, _JUMP])
+  np.testing.assert_array_equal(tracker.state.phase, [0.25, 0.0, 0.75])
+  np.testing.assert_array_equal(tracker.state.step, [1, 0, 1])
+  np.testing.assert_array_equal(tracker.state.anchor[:, 2], [0, 0.7, 0.2])
+
+
+def test_shorter_schedule_forgets_the_longer_one_reset() -> None:
+  tracker = _started([_GO, _STAND, _JUMP], [0.0, 0.25, 0.5])
+  plan = schedule.single(np.array([_GO]))
+  tracker.reset(_FIRST, plan, np.zeros(1), np.zeros(1))
+  for _ in range(5):
     tracker.advance()
-    np.testing.assert_array_equal(tracker.state.phase, [0.25, 0.5, 0.75])
-    plan = schedule.single(np.array([_JUMP]))
-    tracker.reset(np.array([1]), plan, np.zeros(1), np.array([0.7]))
-    np.testing.assert_array_equal(tracker.state.mode, [_GO, _JUMP, _JUMP])
-    np.testing.assert_array_equal(tracker.state.phase, [0.25, 0.0, 0.75])
-    np.testing.assert_array_equal(tracker.state.step, [1, 0, 1])
-    np.testing.assert_array_equal(tracker.state.anchor[:, 2], [0, 0.7, 0.2])
+    assert not len(tracker.pop_due_commands()[0])
 
-  def test_shorter_schedule_forgets_the_longer_one(self) -> None:
-    tracker = _started([_GO, _STAND, _JUMP], [0.0, 0.25, 0.5])
-    plan = schedule.single(np.array([_GO]))
+
+def test_start_pose_is_the_reference_with_its_velocity() -> None:
+  tracker = _started([_GO], phase=0.5, support=0.2, clock_rate=1.5)
+  position, orientation, velocity = tracker.start_pose(_FIRST)
+  np.testing.assert_allclose(position, [[1.0, 0.0, 0.7]])
+  np.testing.assert_allclose(orientation, [[1.0, 0.0, 0.0, 0.0]])
+  np.testing.assert_allclose(velocity, [[3.0, 0.0, 0.0]])
+
+
+def test_rejects_a_schedule_too_long() -> None:
+  tracker = _tracker(max_knots=2)
+  plan = schedule.from_knots(np.array([[_GO, _STAND, _GO]]), 0.5)
+  with pytest.raises(ValueError, match='max_knots'):
     tracker.reset(_FIRST, plan, np.zeros(1), np.zeros(1))
-    for _ in range(5):
-      tracker.advance()
-      self.assertEmpty(tracker.pop_due_commands()[0])
-
-  def test_start_pose_is_the_reference_with_its_velocity(self) -> None:
-    tracker = _started([_GO], phase=0.5, support=0.2, clock_rate=1.5)
-    position, orientation, velocity = tracker.start_pose(_FIRST)
-    np.testing.assert_allclose(position, [[1.0, 0.0, 0.7]])
-    np.testing.assert_allclose(orientation, [[1.0, 0.0, 0.0, 0.0]])
-    np.testing.assert_allclose(velocity, [[3.0, 0.0, 0.0]])
-
-  def test_rejects_a_schedule_too_long(self) -> None:
-    tracker = _tracker(max_knots=2)
-    plan = schedule.from_knots(np.array([[_GO, _STAND, _GO]]), 0.5)
-    with self.assertRaisesRegex(ValueError, 'max_knots'):
-      tracker.reset(_FIRST, plan, np.zeros(1), np.zeros(1))
-
-
-if __name__ == '__main__':
-  absltest.main()

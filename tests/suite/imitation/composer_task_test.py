@@ -1,13 +1,13 @@
-"""Tests of dmc_multimode.suite.imitation: what the task promises."""
+"""Tests of dmc_multimode.suite.imitation.composer_task."""
 
 import dataclasses
 from typing import Any
+from unittest import mock
 
-from absl.testing import absltest
-from absl.testing import parameterized
 from dm_control import composer
 import mujoco
 import numpy as np
+import pytest
 
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set
@@ -83,7 +83,7 @@ def _ground_height(env: composer.Environment, x: float) -> float:
   return 5.0 - distance
 
 
-class StandingStillTest(parameterized.TestCase):
+class TestStandingStill:
   """What early termination is for: standing still must not pay."""
 
   def _run(self, mode: str, upright: bool) -> tuple[int, str]:
@@ -98,195 +98,192 @@ class StandingStillTest(parameterized.TestCase):
       steps += 1
     return steps, env.task.termination_cause
 
-  @parameterized.product(mode=_MOVING, upright=(False, True))
+  @pytest.mark.parametrize('upright', (False, True))
+  @pytest.mark.parametrize('mode', _MOVING)
   def test_is_terminated_in_a_moving_mode(
     self, mode: str, upright: bool
   ) -> None:
     steps, cause = self._run(mode, upright)
-    self.assertNotEqual(cause, 'none')
-    self.assertLess(steps, 0.6 * _CALM.horizon)
+    assert cause != 'none'
+    assert steps < 0.6 * _CALM.horizon
 
   def test_held_upright_goes_on_when_idle(self) -> None:
     steps, cause = self._run('idle', upright=True)
-    self.assertEqual(cause, 'none')
-    self.assertEqual(steps, _CALM.horizon)
+    assert cause == 'none'
+    assert steps == _CALM.horizon
 
 
-class RewardTest(parameterized.TestCase):
-  def test_is_between_zero_and_one(self) -> None:
-    env = _env(
-      ['walk_forward', 'launch', 'leap_left'],
-      [0.0, 0.3, 0.9],
-      dataclasses.replace(
-        config.ImitationConfig(), limits=terminations.NO_LIMITS
-      ),
-    )
-    random, spec = np.random.RandomState(0), env.action_spec()
-    env.reset()
-    for _ in range(60):
-      time_step = env.step(random.uniform(spec.minimum, spec.maximum))
-      self.assertBetween(time_step.reward, 0.0, 1.0)
+def test_is_between_zero_and_one() -> None:
+  env = _env(
+    ['walk_forward', 'launch', 'leap_left'],
+    [0.0, 0.3, 0.9],
+    dataclasses.replace(
+      config.ImitationConfig(), limits=terminations.NO_LIMITS
+    ),
+  )
+  random, spec = np.random.RandomState(0), env.action_spec()
+  env.reset()
+  for _ in range(60):
+    time_step = env.step(random.uniform(spec.minimum, spec.maximum))
+    assert 0.0 <= time_step.reward <= 1.0
 
-  def test_on_the_reference_it_is_the_highest(self) -> None:
-    env = _env(['idle'])
-    _hold_upright(env)
-    env.reset()
+
+def test_on_the_reference_it_is_the_highest() -> None:
+  env = _env(['idle'])
+  _hold_upright(env)
+  env.reset()
+  time_step = env.step(_standing_action(env))
+  assert time_step.reward == pytest.approx(1.0, abs=0.5e-6)
+
+
+def test_by_hand() -> None:
+  """Held at its start, a robot falls behind a walk of 0.6 m/s."""
+  env = _env(['walk_forward'])
+  _hold_upright(env)
+  env.reset()
+  for step in range(1, 11):
     time_step = env.step(_standing_action(env))
-    self.assertAlmostEqual(time_step.reward, 1.0, places=6)
-
-  def test_by_hand(self) -> None:
-    """Held at its start, a robot falls behind a walk of 0.6 m/s."""
-    env = _env(['walk_forward'])
-    _hold_upright(env)
-    env.reset()
-    for step in range(1, 11):
-      time_step = env.step(_standing_action(env))
-      behind = 0.6 * 0.03 * step
-      self.assertAlmostEqual(
-        time_step.reward, 0.5 * np.exp(-5 * behind) + 0.5, places=6
-      )
-
-
-class EndOfEpisodeTest(parameterized.TestCase):
-  def test_termination_has_discount_zero(self) -> None:
-    env = _env(['walk_forward'])
-    _hold_upright(env)
-    time_step = env.reset()
-    while not time_step.last():
-      self.assertIn(time_step.discount, (None, 1.0))
-      time_step = env.step(_standing_action(env))
-    self.assertEqual(time_step.discount, 0.0)
-    self.assertEqual(env.task.termination_cause, 'position_error')
-    # 0.35 m at 0.6 m/s in steps of 0.03 s: 19.4.
-    self.assertEqual(env.task.core.tracker.state.step[0], 20)
-
-  def test_time_limit_has_discount_one(self) -> None:
-    env = _env(['idle'], task_config=dataclasses.replace(_CALM, time_limit=0.3))
-    _hold_upright(env)
-    time_step, steps = env.reset(), 0
-    while not time_step.last():
-      time_step = env.step(_standing_action(env))
-      steps += 1
-    self.assertEqual(steps, 10)
-    self.assertEqual(time_step.discount, 1.0)
-    self.assertEqual(env.task.termination_cause, 'none')
-
-  def test_fall_is_named(self) -> None:
-    env = _env(
-      ['idle'],
-      task_config=dataclasses.replace(
-        _CALM,
-        limits=terminations.TerminationLimits(np.inf, 0.0, angle=np.pi),
-      ),
+    behind = 0.6 * 0.03 * step
+    assert time_step.reward == pytest.approx(
+      0.5 * np.exp(-5 * behind) + 0.5, abs=0.5e-6
     )
-    time_step = env.reset()
-    while not time_step.last():
-      time_step = env.step(np.full(10, -1.5))
-    self.assertEqual(env.task.termination_cause, 'base_height')
-    self.assertEqual(time_step.discount, 0.0)
 
 
-class TerrainTest(parameterized.TestCase):
-  @parameterized.parameters(0.0, 0.04)
-  def test_launch_finds_its_block(self, noise: float) -> None:
-    env = _env(
-      ['launch'],
-      task_config=dataclasses.replace(
-        _CALM,
-        events=dataclasses.replace(events.NONE, edge_noise=noise),
-      ),
-    )
-    edges = []
-    for _ in range(6):
-      env.reset()
-      self.assertAlmostEqual(_ground_height(env, 0.2), 0.0, places=6)
-      self.assertAlmostEqual(_ground_height(env, 0.35), 0.4, places=6)
-      edges.append(env.task.core.terrain.starts[0, 1])
-    np.testing.assert_allclose(edges, 0.27, atol=noise + 1e-9)
-    self.assertEqual(len(set(edges)) > 1, noise > 0)
-
-  def test_launch_in_mid_episode_finds_it_ahead_of_the_robot(self) -> None:
-    env = _env(['walk_forward', 'launch'], [0.0, 0.3])
-    env.reset()
-    action = _standing_action(env)
-    for step in range(10):
-      self.assertEqual(env.task.mode, 'walk_forward')
-      self.assertAlmostEqual(_ground_height(env, 2.0), 0.0, places=6)
-      # Carried along on the reference.
-      env.physics.data.qpos[0] = 0.018 * step
-      env.step(action)
-    self.assertEqual(env.task.mode, 'launch')
-    x = env.physics.data.qpos[0]
-    self.assertGreater(x, 0.1)
-    self.assertAlmostEqual(_ground_height(env, x + 0.26), 0.0, places=6)
-    self.assertAlmostEqual(_ground_height(env, x + 0.28), 0.4, places=6)
-    # The reference ends on top of it.
-    end = env.task.core.tracker.state.anchor[0] + [0.6, 0.0, 0.9]
-    self.assertGreater(end[0], x + 0.27)
-    self.assertAlmostEqual(end[2] - 0.4, 0.5)
-
-  def test_fixed_arena_keeps_its_terrain(self) -> None:
-    env = _env(['launch'], arena='block')
-    env.reset()
-    self.assertAlmostEqual(_ground_height(env, 0.7), 0.0, places=6)
-    self.assertAlmostEqual(_ground_height(env, 0.9), 0.4, places=6)
-
-  def test_height_is_over_the_support(self) -> None:
-    env = _env(['idle'], arena='block')
-    observed = env.reset().observation['height'][0]
-    self.assertAlmostEqual(observed, 0.5)
-    env.physics.data.qpos[[0, 2]] = [1.5, 0.9]
+def test_termination_has_discount_zero() -> None:
+  env = _env(['walk_forward'])
+  _hold_upright(env)
+  time_step = env.reset()
+  while not time_step.last():
+    assert time_step.discount in (None, 1.0)
     time_step = env.step(_standing_action(env))
-    self.assertAlmostEqual(time_step.observation['height'][0], 0.5, delta=0.02)
+  assert time_step.discount == 0.0
+  assert env.task.termination_cause == 'position_error'
+  # 0.35 m at 0.6 m/s in steps of 0.03 s: 19.4.
+  assert env.task.core.tracker.state.step[0] == 20
 
 
-class ResetTest(parameterized.TestCase):
-  @parameterized.parameters(*_MODES)
-  def test_start_on_the_reference_is_free_of_the_ground(
-    self, mode: str
-  ) -> None:
-    """Whatever the phase, no foot begins deep inside a block."""
-    env = _env(
-      [mode],
-      task_config=dataclasses.replace(
-        _CALM,
-        events=dataclasses.replace(events.NONE, reference_starts=1.0),
-      ),
-    )
-    for _ in range(20):
-      time_step = env.reset()
-      contacts = env.physics.data.contact
-      self.assertGreater(min([0.0, *contacts.dist]), -0.02)
-      self.assertGreaterEqual(time_step.observation['height'][0], 0.39)
+def test_time_limit_has_discount_one() -> None:
+  env = _env(['idle'], task_config=dataclasses.replace(_CALM, time_limit=0.3))
+  _hold_upright(env)
+  time_step, steps = env.reset(), 0
+  while not time_step.last():
+    time_step = env.step(_standing_action(env))
+    steps += 1
+  assert steps == 10
+  assert time_step.discount == 1.0
+  assert env.task.termination_cause == 'none'
 
-  def test_returns_are_reported_to_the_sampler(self) -> None:
-    env = _env(['walk_forward'])
-    _hold_upright(env)
-    reported: list[tuple[Any, ...]] = []
-    initialiser = env.task.episodes
-    with absltest.mock.patch.object(
-      initialiser, 'update', side_effect=lambda *values: reported.append(values)
-    ):
-      time_step, total = env.reset(), 0.0
-      while not time_step.last():
-        time_step = env.step(_standing_action(env))
-        total += time_step.reward
-      env.reset()
-    self.assertLen(reported, 1)
-    initial, final, returns = reported[0]
-    self.assertEqual((initial[0], final[0]), (0, 0))
-    # Steps after the termination count as zero.
-    self.assertAlmostEqual(returns[0], total / _CALM.horizon)
 
-  def test_visualize_reward_colours_the_eye(self) -> None:
-    env = _env(['idle'])
-    env.task.visualize_reward = True
-    _hold_upright(env)
+def test_fall_is_named() -> None:
+  env = _env(
+    ['idle'],
+    task_config=dataclasses.replace(
+      _CALM,
+      limits=terminations.TerminationLimits(np.inf, 0.0, angle=np.pi),
+    ),
+  )
+  time_step = env.reset()
+  while not time_step.last():
+    time_step = env.step(np.full(10, -1.5))
+  assert env.task.termination_cause == 'base_height'
+  assert time_step.discount == 0.0
+
+
+@pytest.mark.parametrize('noise', [0.0, 0.04])
+def test_launch_finds_its_block(noise: float) -> None:
+  env = _env(
+    ['launch'],
+    task_config=dataclasses.replace(
+      _CALM,
+      events=dataclasses.replace(events.NONE, edge_noise=noise),
+    ),
+  )
+  edges = []
+  for _ in range(6):
     env.reset()
-    env.step(_standing_action(env))
-    eye = env.physics.bind(env.task.walker.mjcf_model.find('material', 'eye'))
-    np.testing.assert_allclose(eye.rgba, [0.2, 0.7, 0.3, 1.0], atol=1e-3)
+    assert _ground_height(env, 0.2) == pytest.approx(0.0, abs=0.5e-6)
+    assert _ground_height(env, 0.35) == pytest.approx(0.4, abs=0.5e-6)
+    edges.append(env.task.core.terrain.starts[0, 1])
+  np.testing.assert_allclose(edges, 0.27, atol=noise + 1e-9)
+  assert (len(set(edges)) > 1) == (noise > 0)
 
 
-if __name__ == '__main__':
-  absltest.main()
+def test_launch_in_mid_episode_finds_it_ahead_of_the_robot() -> None:
+  env = _env(['walk_forward', 'launch'], [0.0, 0.3])
+  env.reset()
+  action = _standing_action(env)
+  for step in range(10):
+    assert env.task.mode == 'walk_forward'
+    assert _ground_height(env, 2.0) == pytest.approx(0.0, abs=0.5e-6)
+    # Carried along on the reference.
+    env.physics.data.qpos[0] = 0.018 * step
+    env.step(action)
+  assert env.task.mode == 'launch'
+  x = env.physics.data.qpos[0]
+  assert x > 0.1
+  assert (_ground_height(env, x + 0.26)) == pytest.approx(0.0, abs=0.5e-6)
+  assert (_ground_height(env, x + 0.28)) == pytest.approx(0.4, abs=0.5e-6)
+  # The reference ends on top of it.
+  end = env.task.core.tracker.state.anchor[0] + [0.6, 0.0, 0.9]
+  assert end[0] > (x + 0.27)
+  assert end[2] - 0.4 == pytest.approx(0.5, abs=1e-7)
+
+
+def test_fixed_arena_keeps_its_terrain() -> None:
+  env = _env(['launch'], arena='block')
+  env.reset()
+  assert _ground_height(env, 0.7) == pytest.approx(0.0, abs=0.5e-6)
+  assert _ground_height(env, 0.9) == pytest.approx(0.4, abs=0.5e-6)
+
+
+def test_height_is_over_the_support() -> None:
+  env = _env(['idle'], arena='block')
+  observed = env.reset().observation['height'][0]
+  assert observed == pytest.approx(0.5, abs=1e-7)
+  env.physics.data.qpos[[0, 2]] = [1.5, 0.9]
+  time_step = env.step(_standing_action(env))
+  assert time_step.observation['height'][0] == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.parametrize('mode', _MODES)
+def test_start_on_the_reference_is_free_of_the_ground(mode: str) -> None:
+  """Whatever the phase, no foot begins deep inside a block."""
+  env = _env(
+    [mode],
+    task_config=dataclasses.replace(
+      _CALM,
+      events=dataclasses.replace(events.NONE, reference_starts=1.0),
+    ),
+  )
+  for _ in range(20):
+    time_step = env.reset()
+    contacts = env.physics.data.contact
+    assert min([0.0, *contacts.dist]) > -0.02
+    assert time_step.observation['height'][0] >= 0.39
+
+
+def test_returns_are_reported_to_the_sampler() -> None:
+  env = _env(['walk_forward'])
+  _hold_upright(env)
+  reported: list[episodes.EpisodeBatch] = []
+  initialiser = env.task.episodes
+  with mock.patch.object(initialiser, 'update', side_effect=reported.append):
+    time_step, total = env.reset(), 0.0
+    while not time_step.last():
+      time_step = env.step(_standing_action(env))
+      total += time_step.reward
+    env.reset()
+  (batch,) = reported
+  assert (batch.initial[0], batch.final[0], batch.causes[0]) == (0, 0, 1)
+  # Steps after the termination count as zero.
+  assert batch.returns[0] == pytest.approx(total / _CALM.horizon, abs=1e-7)
+
+
+def test_visualize_reward_colours_the_eye() -> None:
+  env = _env(['idle'])
+  env.task.visualize_reward = True
+  _hold_upright(env)
+  env.reset()
+  env.step(_standing_action(env))
+  eye = env.physics.bind(env.task.walker.mjcf_model.find('material', 'eye'))
+  np.testing.assert_allclose(eye.rgba, [0.2, 0.7, 0.3, 1.0], atol=1e-3)

@@ -1,4 +1,4 @@
-"""Tests of dmc_multimode.suite.imitation_core.
+"""Tests of dmc_multimode.suite.imitation.core.
 
 Where episodes begin, what stands in the way of modes, and how references ride
 on the ground.
@@ -9,10 +9,9 @@ import dataclasses
 from typing import Any, Sequence
 from unittest import mock
 
-from absl.testing import absltest
-from absl.testing import parameterized
 import mujoco
 import numpy as np
+import pytest
 
 from dmc_multimode.arenas import terrain
 from dmc_multimode.modes import library
@@ -98,32 +97,29 @@ class _Starts:
         )
 
 
-class ReferenceStartTest(parameterized.TestCase):
+class TestReferenceStart:
   starts: _Starts
   obstacle_share = 0.0
 
   @classmethod
-  def setUpClass(cls) -> None:
-    super().setUpClass()
+  def setup_class(cls) -> None:
     cls.starts = _Starts(1.0, cls.obstacle_share)
 
   def test_many_phases_are_tried(self) -> None:
     phases = self.starts.tracker.state.phase.reshape(len(_MOTIONS), _PHASES)
-    self.assertLess(phases.min(axis=1).max(), 0.15)
-    self.assertGreater(phases.max(axis=1).min(), 0.85)
+    assert (phases.min(axis=1).max()) < 0.15
+    assert (phases.max(axis=1).min()) > 0.85
     aloft = self.starts.tracker.airborne(np.arange(len(phases.ravel())))
     names = {_MOTIONS[mode].name for mode in self.starts.modes[aloft]}
     leaps = {f'leap_{d}' for d in ('forward', 'backward', 'left', 'right')}
-    self.assertEqual(names, {'hop_forward', 'launch', 'step_down'} | leaps)
+    assert names == ({'hop_forward', 'launch', 'step_down'} | leaps)
 
   def test_no_foot_is_in_the_ground_or_in_a_block(self) -> None:
     depth = -self.starts.gaps.min(axis=(1, 2))
     worst = depth.argmax()
-    self.assertLess(
-      depth[worst],
-      1e-3,
+    assert depth[worst] < 1e-3, (
       f'{_MOTIONS[self.starts.modes[worst]].name} at phase '
-      f'{self.starts.tracker.state.phase[worst]}',
+      f'{self.starts.tracker.state.phase[worst]}'
     )
 
   def _within_reach(self) -> np.ndarray:
@@ -150,7 +146,7 @@ class ReferenceStartTest(parameterized.TestCase):
   def test_feet_stand_where_the_reference_stands(self) -> None:
     stance = self._standing_feet()
     standing = stance.any(axis=1)
-    self.assertLen(np.unique(self.starts.modes[standing]), len(_MOTIONS))
+    assert len(np.unique(self.starts.modes[standing])) == len(_MOTIONS)
     # The soles, flat, on the ground; toes may reach over an edge.
     lowest = self.starts.gaps[stance].min(axis=1)
     np.testing.assert_allclose(lowest, 0.0, atol=1e-3)
@@ -158,7 +154,7 @@ class ReferenceStartTest(parameterized.TestCase):
     lowest = np.sort(self.starts.gaps[stance], axis=1)[:, :4]
     np.testing.assert_allclose(lowest, 0.0, atol=1e-3)
     heights = self.starts.worlds.qpos[standing, 2]
-    self.assertGreater(np.ptp(heights), 0.1)  # Not all at the crouch.
+    assert np.ptp(heights) > 0.1  # Not all at the crouch.
 
   def test_standing_feet_do_not_rise_or_sink(self) -> None:
     stance = self._standing_feet()
@@ -166,8 +162,8 @@ class ReferenceStartTest(parameterized.TestCase):
     np.testing.assert_allclose(speeds[:, 5], 0.0, atol=1e-4)  # Upwards.
     np.testing.assert_allclose(speeds[:, :3], 0.0, atol=1e-4)  # Turning.
     climbs = self.starts.worlds.qvel[stance.all(axis=1), 2]
-    self.assertGreater(climbs.max(), 0.5)
-    self.assertLess(climbs.min(), -0.2)
+    assert climbs.max() > 0.5
+    assert climbs.min() < -0.2
 
   def test_one_foot_swings_where_the_reference_s_does(self) -> None:
     """Up to 6 cm high, and past the foot that stands as the trunk is."""
@@ -178,7 +174,7 @@ class ReferenceStartTest(parameterized.TestCase):
     names = {_MOTIONS[mode].name for mode in starts.modes[walking]}
     directions = ('forward', 'backward', 'left', 'right')
     turns = {'turn_left', 'turn_right'}
-    self.assertEqual(names, {f'walk_{d}' for d in directions} | turns)
+    assert names == ({f'walk_{d}' for d in directions} | turns)
     np.testing.assert_array_equal(swinging.sum(axis=1), walking)
     np.testing.assert_array_equal(
       swinging, walking[:, None] & (starts.reference.contact == 0)
@@ -187,7 +183,7 @@ class ReferenceStartTest(parameterized.TestCase):
     share = time[walking] / length[walking]
     expected = 0.06 * np.cos(np.pi * share)
     np.testing.assert_allclose(height, expected, atol=1e-3)
-    self.assertGreater(height.max(), 0.05)
+    assert height.max() > 0.05
     # The foot that stands is at rest along the way.
     walking &= starts.reference.position[:, 1] == 0  # Not sideways.
     stance = ~swinging & walking[:, None]
@@ -201,10 +197,10 @@ class ReferenceStartTest(parameterized.TestCase):
     starts = self.starts
     position, wanted = starts.worlds.qpos[:, :3], starts.reference.position
     np.testing.assert_array_equal(position[:, :2], wanted[:, :2])
-    self.assertTrue(np.all(position[:, 2] >= wanted[:, 2]))
+    assert np.all(position[:, 2] >= wanted[:, 2])
     lifted = self._lifted()
     names = {_MOTIONS[mode].name for mode in starts.modes[lifted]}
-    self.assertEqual(names, {'launch', 'step_down'})
+    assert names == ({'launch', 'step_down'})
     top = starts.worlds.core.terrain.tops[:, :2].max(axis=1)
     lifted &= starts.tracker.airborne(np.arange(len(lifted)))
     np.testing.assert_allclose(
@@ -222,8 +218,8 @@ class ReferenceStartTest(parameterized.TestCase):
     moving = np.linalg.norm(velocity, axis=1) > 0
     pace = np.sum(moved * velocity, axis=1)[moving]
     pace /= np.sum(velocity**2, axis=1)[moving]
-    self.assertBetween(pace.min(), 0.5, 0.6)
-    self.assertBetween(pace.max(), 0.9, 1.0)
+    assert 0.5 <= pace.min() <= 0.6
+    assert 0.9 <= pace.max() <= 1.0
     np.testing.assert_allclose(moved[moving], pace[:, None] * velocity[moving])
     np.testing.assert_array_equal(moved[~moving], 0.0)
     np.testing.assert_array_equal(starts.worlds.qvel[:, 3:6], 0.0)
@@ -235,7 +231,7 @@ class ReferenceStartTest(parameterized.TestCase):
     np.testing.assert_array_equal(self.starts.worlds.qvel[aloft, 6:], 0.0)
 
 
-class ObstacleStartTest(ReferenceStartTest):
+class TestObstacleStart(TestReferenceStart):
   """The same holds where obstacles are ahead, and below."""
 
   obstacle_share = 1.0
@@ -251,40 +247,37 @@ class ObstacleStartTest(ReferenceStartTest):
     core = self.starts.worlds.core
     meeting = np.isfinite(core.terrain.starts[:, 1])
     found = {_MOTIONS[mode].name for mode in self.starts.modes[meeting]}
-    self.assertEqual(found, names)
-    self.assertEqual(meeting.sum(), len(names) * _PHASES)
+    assert found == names
+    assert meeting.sum() == len(names) * _PHASES
     # Some begin over gaps, and some on blocks that are too low.
     x = self.starts.worlds.qpos[:, 0]
     over = (x > core.terrain.ends[:, 0]) & (x < core.terrain.starts[:, 1])
-    self.assertGreater(over.sum(), 0)
+    assert over.sum() > 0
     on = x > core.terrain.starts[:, 1]
-    self.assertGreater(np.sum(on & (core.terrain.tops[:, 1] < 0.3)), 3)
+    assert (np.sum(on & (core.terrain.tops[:, 1] < 0.3))) > 3
 
   def test_gaits_have_them_ahead_of_where_they_are(self) -> None:
     starts = self.starts
     walking = starts.modes == _NAMES.index('walk_forward')
     x = starts.worlds.qpos[walking, 0]
-    self.assertGreater(x.max(), 0.3)
+    assert x.max() > 0.3
     distance = starts.worlds.core.terrain.starts[walking, 1] - x
-    self.assertBetween(distance.min(), 0.15, 0.25)
-    self.assertBetween(distance.max(), 1.1, 1.2)
+    assert 0.15 <= distance.min() <= 0.25
+    assert 1.1 <= distance.max() <= 1.2
 
 
-class StartFromRestTest(parameterized.TestCase):
-  @parameterized.parameters(0.0, 1.0)
-  def test_every_mode_begins_in_the_crouch_at_rest(
-    self, obstacle_share: float
-  ) -> None:
-    starts = _Starts(0.0, obstacle_share)
-    expected = np.zeros((len(starts.modes), 17))
-    expected[:, 2], expected[:, 3] = constants.STAND_HEIGHT, 1.0
-    np.testing.assert_allclose(starts.worlds.qpos, expected, atol=1e-12)
-    np.testing.assert_array_equal(
-      starts.worlds.qvel, np.zeros((len(starts.modes), 16))
-    )
-    np.testing.assert_array_equal(starts.tracker.state.phase, 0.0)
-    lowest = starts.gaps.min(axis=2)
-    np.testing.assert_allclose(lowest, 0.0, atol=1e-3)
+@pytest.mark.parametrize('obstacle_share', [0.0, 1.0])
+def test_every_mode_begins_in_the_crouch_at_rest(obstacle_share: float) -> None:
+  starts = _Starts(0.0, obstacle_share)
+  expected = np.zeros((len(starts.modes), 17))
+  expected[:, 2], expected[:, 3] = constants.STAND_HEIGHT, 1.0
+  np.testing.assert_allclose(starts.worlds.qpos, expected, atol=1e-12)
+  np.testing.assert_array_equal(
+    starts.worlds.qvel, np.zeros((len(starts.modes), 16))
+  )
+  np.testing.assert_array_equal(starts.tracker.state.phase, 0.0)
+  lowest = starts.gaps.min(axis=2)
+  np.testing.assert_allclose(lowest, 0.0, atol=1e-3)
 
 
 _GROUND_END = 40.0  # Metres.
@@ -374,144 +367,151 @@ def _drawing(
   )
 
 
-class ObstacleTest(parameterized.TestCase):
-  """What commands do to adaptive terrain."""
+def test_commands_meet_what_is_drawn() -> None:
+  """At 0 m, and at 1, 2, and 3 m on a step of 0.2 m that begins at 0.5 m."""
+  step = (-20.0, 0.5, 0.0), (0.5, _GROUND_END, 0.2)
+  core, random_state = _begun(['idle'] * 4, step, obstacles=1.0)
+  names = ['walk_forward', 'leap_forward', 'launch', 'idle']
+  with _drawing(
+    [0.8, 0.6, 0.3, _NONE], [-0.1, 0.05, 0.2, 0.0], [0.0, 0.3, 0.1, 0.0]
+  ) as draw:
+    changed = _command(core, names, [0, 1, 2, 3], random_state)
+  modes, ahead, _ = draw.call_args.args
+  np.testing.assert_array_equal(modes, _modes(*names))
+  np.testing.assert_array_equal(ahead, np.zeros(4))
+  assert {0, 1, 2} <= set(changed)
+  _assert_segments(core, 0, (-20, 0.8, 0), (0.8, _GROUND_END, -0.1))
+  behind = (-20.0, 0.5, 0.0)
+  _assert_segments(core, 1, behind, (0.5, 1.3, 0.2), (1.6, _GROUND_END, 0.25))
+  _assert_segments(core, 2, behind, (0.5, 2.2, 0.2), (2.3, _GROUND_END, 0.4))
+  _assert_segments(core, 3, *step)
 
-  def test_commands_meet_what_is_drawn(self) -> None:
-    """At 0 m, and at 1, 2, and 3 m on a step of 0.2 m that begins at 0.5 m."""
-    step = (-20.0, 0.5, 0.0), (0.5, _GROUND_END, 0.2)
-    core, random_state = _begun(['idle'] * 4, step, obstacles=1.0)
-    names = ['walk_forward', 'leap_forward', 'launch', 'idle']
-    with _drawing(
-      [0.8, 0.6, 0.3, _NONE], [-0.1, 0.05, 0.2, 0.0], [0.0, 0.3, 0.1, 0.0]
-    ) as draw:
-      changed = _command(core, names, [0, 1, 2, 3], random_state)
-    modes, ahead, _ = draw.call_args.args
-    np.testing.assert_array_equal(modes, _modes(*names))
-    np.testing.assert_array_equal(ahead, np.zeros(4))
-    self.assertContainsSubset([0, 1, 2], changed)
-    _assert_segments(core, 0, (-20, 0.8, 0), (0.8, _GROUND_END, -0.1))
-    behind = (-20.0, 0.5, 0.0)
-    _assert_segments(core, 1, behind, (0.5, 1.3, 0.2), (1.6, _GROUND_END, 0.25))
-    _assert_segments(core, 2, behind, (0.5, 2.2, 0.2), (2.3, _GROUND_END, 0.4))
-    _assert_segments(core, 3, *step)
 
-  def test_some_commands_do(self) -> None:
-    """The others find level ground, and launch the block it is made for."""
-    count = 3000
-    names = ['walk_forward', 'leap_forward', 'launch'] * count
-    core, random_state = _begun(['idle'] * len(names), obstacles=0.25)
-    changed = _command(core, names, np.zeros(len(names)), random_state)
-    edges, tops = core.terrain.starts[:, 1], core.terrain.tops[:, 1]
-    for i in range(2):
-      share = float(np.mean(np.isfinite(edges[i::3])))
-      self.assertAlmostEqual(share, 0.25, delta=0.03)
-    own = (edges[2::3] == 0.27) & (tops[2::3] == 0.4)
-    self.assertAlmostEqual(float(np.mean(own)), 0.75, delta=0.03)
-    self.assertContainsSubset(np.flatnonzero(np.isfinite(edges)), changed)
+def test_some_commands_do() -> None:
+  """The others find level ground, and launch the block it is made for."""
+  count = 3000
+  names = ['walk_forward', 'leap_forward', 'launch'] * count
+  core, random_state = _begun(['idle'] * len(names), obstacles=0.25)
+  changed = _command(core, names, np.zeros(len(names)), random_state)
+  edges, tops = core.terrain.starts[:, 1], core.terrain.tops[:, 1]
+  for i in range(2):
+    share = float(np.mean(np.isfinite(edges[i::3])))
+    assert share == pytest.approx(0.25, abs=0.03)
+  own = (edges[2::3] == 0.27) & (tops[2::3] == 0.4)
+  assert float(np.mean(own)) == pytest.approx(0.75, abs=0.03)
+  assert set(np.flatnonzero(np.isfinite(edges))) <= set(changed)
 
-  @parameterized.parameters(
+
+@pytest.mark.parametrize(
+  ('distance', 'rise', 'gap', 'levelled'),
+  [
     (0.46, 0.1, 0.0, True),
     (0.46, -0.1, 0.0, True),
     (0.46, 0.1, 0.3, True),
-    # A foot may be on it already.
     (0.44, 0.1, 0.0, False),
     (0.44, -0.1, 0.0, False),
     (0.01, 0.1, 0.0, False),
     (0.44, 0.1, 0.3, False),
-    # It is as high as the ground here.
     (0.44, 0.0, 0.3, True),
     (0.01, 0.0, 0.0, True),
+  ],
+)
+def test_mode_without_obstacle_finds_level_ground(
+  distance: float, rise: float, gap: float, levelled: bool
+) -> None:
+  ground = (
+    (-20.0, 1.0 + distance - gap, 0.1),
+    (1.0 + distance, _GROUND_END, 0.1 + rise),
   )
-  def test_mode_without_obstacle_finds_level_ground(
-    self, distance: float, rise: float, gap: float, levelled: bool
-  ) -> None:
-    ground = (
-      (-20.0, 1.0 + distance - gap, 0.1),
-      (1.0 + distance, _GROUND_END, 0.1 + rise),
-    )
-    names = ['idle', 'walk_backward', 'leap_left']
-    core, random_state = _begun(['walk_left'] * 3, ground, obstacles=1.0)
-    changed = _command(core, names, [1.0] * 3, random_state)
-    for world in range(3):
-      if levelled:
-        _assert_segments(core, world, (-20, _GROUND_END, 0.1))
-      else:
-        _assert_segments(core, world, *ground)
-    self.assertEqual(changed.tolist(), [0, 1, 2] if levelled else [])
-
-  def test_step_that_is_near_keeps_obstacles_away(self) -> None:
-    """But for the block of a launch, which must be where it is needed."""
-    ground = (-20.0, 0.44, 0.0), (0.44, _GROUND_END, -0.1)
-    core, random_state = _begun(['idle'] * 3, ground, obstacles=1.0)
-    names = ['walk_forward', 'leap_forward', 'launch']
-    with _drawing([0.3], [0.2], [0.05]) as draw:
-      changed = _command(core, names, [0.0] * 3, random_state)
-    np.testing.assert_array_equal(draw.call_args.args[0], _modes('launch'))
-    for world in range(2):
+  names = ['idle', 'walk_backward', 'leap_left']
+  core, random_state = _begun(['walk_left'] * 3, ground, obstacles=1.0)
+  changed = _command(core, names, [1.0] * 3, random_state)
+  for world in range(3):
+    if levelled:
+      _assert_segments(core, world, (-20, _GROUND_END, 0.1))
+    else:
       _assert_segments(core, world, *ground)
-    _assert_segments(core, 2, (-20, 0.25, 0), (0.3, _GROUND_END, 0.2))
-    self.assertEqual(changed.tolist(), [2])
+  assert changed.tolist() == ([0, 1, 2] if levelled else [])
 
-  @parameterized.parameters({'adaptive': False}, {'obstacles': 0.0})
-  def test_without_obstacles_nothing_is_levelled(self, **changes: Any) -> None:
-    ground = (-20.0, 0.5, 0.0), (0.8, _GROUND_END, -0.1)
-    core, random_state = _begun(
-      ['idle'] * 3, ground, **{'obstacles': 1.0, **changes}
-    )
-    before = copy.deepcopy(random_state)
-    names = ['walk_forward', 'leap_forward', 'walk_left']
-    self.assertEmpty(_command(core, names, [0.0] * 3, random_state))
-    for world in range(3):
-      _assert_segments(core, world, *ground)
-    # Nor is anything drawn.
-    self.assertEqual(random_state.uniform(), before.uniform())
 
-  @parameterized.parameters(
-    {'obstacles': 0.0}, {'obstacles': schedules.Schedule(0.0, 1.0, 1, 1)}
+def test_step_that_is_near_keeps_obstacles_away() -> None:
+  """But for the block of a launch, which must be where it is needed."""
+  ground = (-20.0, 0.44, 0.0), (0.44, _GROUND_END, -0.1)
+  core, random_state = _begun(['idle'] * 3, ground, obstacles=1.0)
+  names = ['walk_forward', 'leap_forward', 'launch']
+  with _drawing([0.3], [0.2], [0.05]) as draw:
+    changed = _command(core, names, [0.0] * 3, random_state)
+  np.testing.assert_array_equal(draw.call_args.args[0], _modes('launch'))
+  for world in range(2):
+    _assert_segments(core, world, *ground)
+  _assert_segments(core, 2, (-20, 0.25, 0), (0.3, _GROUND_END, 0.2))
+  assert changed.tolist() == [2]
+
+
+@pytest.mark.parametrize('changes', [{'adaptive': False}, {'obstacles': 0.0}])
+def test_without_obstacles_nothing_is_levelled(changes: dict[str, Any]) -> None:
+  ground = (-20.0, 0.5, 0.0), (0.8, _GROUND_END, -0.1)
+  core, random_state = _begun(
+    ['idle'] * 3, ground, **{'obstacles': 1.0, **changes}
   )
-  def test_without_obstacles_only_edges_are_drawn(self, **changes: Any) -> None:
-    """The stream of random numbers by hand, as it was before there were any."""
-    core, random_state = _begun(
-      ['idle', 'launch', 'launch'], seed=3, edge_noise=0.04, **changes
-    )
-    by_hand = np.random.RandomState(3)
-    by_hand.uniform(size=(2, 3))  # Who starts on the reference, and where.
-    noise = 0.04 * by_hand.uniform(-1, 1, 2)
-    by_hand.uniform(size=3)  # Their pace.
-    for size in (2, 10, 16):  # Tilts, joints, velocities.
-      by_hand.standard_normal((3, size))
-    _assert_segments(core, 0, *_LEVEL)
-    for i in range(2):
-      edge = 0.27 + noise[i]
-      _assert_segments(core, 1 + i, (-20, edge, 0), (edge, _GROUND_END, 0.4))
-    names = ['launch', 'walk_forward', 'idle']
-    changed = _command(core, names, [2.0, 0.0, 0.0], random_state)
-    edge = 2.27 + 0.04 * by_hand.uniform(-1, 1)
-    _assert_segments(core, 0, (-20, edge, 0), (edge, _GROUND_END, 0.4))
-    self.assertEqual(changed.tolist(), [0])
-    self.assertEqual(random_state.uniform(), by_hand.uniform())
-
-  def test_whatever_changes_is_told(self) -> None:
-    """The engines move only these worlds' boxes."""
-    names = _NAMES * 20
-    count = len(names)
-    core, random_state = _begun(['idle'] * count, obstacles=0.5)
-    random, x = np.random.RandomState(1), np.zeros(count)
-    for _ in range(4):
-      before = core.terrain.rows(np.arange(count))
-      order = random.permutation(count)
-      x += random.uniform(0.0, 0.3, count)
-      changed = _command(core, [names[i] for i in order], x, random_state)
-      differs = np.zeros(count, dtype=bool)
-      for mine, theirs in zip(core.terrain, before, strict=True):
-        differs |= (mine != theirs).any(axis=1)
-      self.assertGreater(differs.sum(), count / 5)
-      self.assertContainsSubset(np.flatnonzero(differs), changed)
-      self.assertLen(np.unique(changed), len(changed))
+  before = copy.deepcopy(random_state)
+  names = ['walk_forward', 'leap_forward', 'walk_left']
+  assert not len(_command(core, names, [0.0] * 3, random_state))
+  for world in range(3):
+    _assert_segments(core, world, *ground)
+  # Nor is anything drawn.
+  assert random_state.uniform() == before.uniform()
 
 
-class RidingTest(parameterized.TestCase):
+@pytest.mark.parametrize(
+  'changes',
+  [{'obstacles': 0.0}, {'obstacles': schedules.Schedule(0.0, 1.0, 1, 1)}],
+)
+def test_without_obstacles_only_edges_are_drawn(
+  changes: dict[str, Any],
+) -> None:
+  """The stream of random numbers by hand, as it was before there were any."""
+  core, random_state = _begun(
+    ['idle', 'launch', 'launch'], seed=3, edge_noise=0.04, **changes
+  )
+  by_hand = np.random.RandomState(3)
+  by_hand.uniform(size=(2, 3))  # Who starts on the reference, and where.
+  noise = 0.04 * by_hand.uniform(-1, 1, 2)
+  by_hand.uniform(size=3)  # Their pace.
+  for size in (2, 10, 16):  # Tilts, joints, velocities.
+    by_hand.standard_normal((3, size))
+  _assert_segments(core, 0, *_LEVEL)
+  for i in range(2):
+    edge = 0.27 + noise[i]
+    _assert_segments(core, 1 + i, (-20, edge, 0), (edge, _GROUND_END, 0.4))
+  names = ['launch', 'walk_forward', 'idle']
+  changed = _command(core, names, [2.0, 0.0, 0.0], random_state)
+  edge = 2.27 + 0.04 * by_hand.uniform(-1, 1)
+  _assert_segments(core, 0, (-20, edge, 0), (edge, _GROUND_END, 0.4))
+  assert changed.tolist() == [0]
+  assert random_state.uniform() == by_hand.uniform()
+
+
+def test_whatever_changes_is_told() -> None:
+  """The engines move only these worlds' boxes."""
+  names = _NAMES * 20
+  count = len(names)
+  core, random_state = _begun(['idle'] * count, obstacles=0.5)
+  random, x = np.random.RandomState(1), np.zeros(count)
+  for _ in range(4):
+    before = core.terrain.rows(np.arange(count))
+    order = random.permutation(count)
+    x += random.uniform(0.0, 0.3, count)
+    changed = _command(core, [names[i] for i in order], x, random_state)
+    differs = np.zeros(count, dtype=bool)
+    for mine, theirs in zip(core.terrain, before, strict=True):
+      differs |= (mine != theirs).any(axis=1)
+    assert differs.sum() > (count / 5)
+    assert set(np.flatnonzero(differs)) <= set(changed)
+    assert len(np.unique(changed)) == len(changed)
+
+
+class TestRiding:
   """References follow the ground under the trunk."""
 
   def _heights(
@@ -551,20 +551,20 @@ class RidingTest(parameterized.TestCase):
     expected = np.hypot([0.2, 0.3, 0.3], [0.0, 0.1, 0.0])
     np.testing.assert_allclose(outcome.errors['position'], expected)
 
-  @parameterized.parameters(0.0, 0.2)
+  @pytest.mark.parametrize('obstacle_share', [0.0, 0.2])
   def test_launch_onto_its_own_block(self, obstacle_share: float) -> None:
     core, random_state = _begun(['idle'] * 50, obstacles=obstacle_share)
     x = np.linspace(-0.5, 3.0, 50)
     _command(core, ['launch'] * 50, np.full(50, 0.3), random_state)
     own = core.terrain.tops[:, 1] == 0.4
-    self.assertGreater(own.sum(), 30)
+    assert own.sum() > 30
     for _ in range(40):  # Through all of its phases.
       core.tracker.advance()
       np.testing.assert_array_equal(
         core.reference(x).position[own], core.tracker.reference().position[own]
       )
 
-  @parameterized.parameters(0.0, 0.3)
+  @pytest.mark.parametrize('gap', [0.0, 0.3])
   def test_launch_onto_half_its_block(self, gap: float) -> None:
     half = (-20.0, 0.5 - gap, 0.1), (0.5, _GROUND_END, 0.3)
     core, _ = _begun(['launch'], half, adaptive=False)
@@ -578,7 +578,7 @@ class RidingTest(parameterized.TestCase):
     core, _ = _begun(['launch'], adaptive=False)
     for _ in range(40):
       core.tracker.advance()
-    self.assertEqual(self._heights(core, 0.0, 0.3, 5.0), [0.9] * 3)
+    assert self._heights(core, 0.0, 0.3, 5.0) == [0.9] * 3
 
   def test_launch_over_a_gap(self) -> None:
     """Onto ground as high as before it: all of the block is missing."""
@@ -608,7 +608,7 @@ class RidingTest(parameterized.TestCase):
     # And who is on the ground from the start stays there.
     core, random_state = _begun(['idle'])
     changed = _command(core, ['walk_backward'], [0.5], random_state)
-    self.assertEmpty(changed)
+    assert not len(changed)
 
   def test_launch_from_a_block_onto_the_next(self) -> None:
     core, random_state = _begun(['launch'])
@@ -626,7 +626,7 @@ class RidingTest(parameterized.TestCase):
     x = np.random.RandomState(0).uniform(0.0, 1.2, count)
     every = core.reference(x)
     lifted = every.position[:, 2] - core.tracker.reference().position[:, 2]
-    self.assertGreater(np.ptp(lifted), 0.1)
+    assert np.ptp(lifted) > 0.1
     for ids in (np.array([7, 2, 9]), np.zeros(0, dtype=np.int64), slice(3, 5)):
       for mine, wanted in zip(core.reference(x[ids], ids), every, strict=True):
         np.testing.assert_array_equal(mine, wanted[ids])
@@ -644,11 +644,7 @@ class RidingTest(parameterized.TestCase):
       qpos, _ = core.start(np.arange(count), plan, ground, random_state)
     _assert_segments(core, 0, (-20, 0.3, 0.2), (0.3, _GROUND_END, 0.3))
     over = core.tracker.state.phase > 0.83
-    self.assertGreater(over.sum(), 5)
+    assert over.sum() > 5
     np.testing.assert_allclose(
       qpos[over, 2], core.tracker.reference().position[over, 2] - 0.3
     )
-
-
-if __name__ == '__main__':
-  absltest.main()

@@ -1,11 +1,10 @@
-"""Tests of dmc_multimode.modes.sampling: Algorithm 1 by hand."""
+"""Tests of dmc_multimode.suite.imitation.mode_sampler."""
 
-from absl.testing import absltest
-from absl.testing import parameterized
 import hypothesis
 from hypothesis.extra import numpy as numpy_strategies
 import hypothesis.strategies as st
 import numpy as np
+import pytest
 
 from dmc_multimode.suite.imitation import mode_sampler
 
@@ -16,129 +15,134 @@ _RETURNS = numpy_strategies.arrays(
 )
 
 
-class Returns2ProbTest(parameterized.TestCase):
-  def test_by_hand(self) -> None:
-    # k = -R = (-1, -3, -2); less the least (2, 0, 1); over the most
-    # (1, 0, 0.5); plus epsilon (1.2, 0.2, 0.7); the sum is 2.1.
-    p = mode_sampler.returns_to_probabilities(np.array([1.0, 3.0, 2.0]), 0.2)
-    np.testing.assert_allclose(p, np.array([1.2, 0.2, 0.7]) / 2.1)
-
-  def test_without_epsilon_the_best_mode_is_never_drawn(self) -> None:
-    p = mode_sampler.returns_to_probabilities(np.array([0.0, 4.0, 2.0]), 0.0)
-    np.testing.assert_allclose(p, [2 / 3, 0.0, 1 / 3])
-
-  @parameterized.product(value=(0.0, -3.0, 7.5), epsilon=(0.0, 0.2))
-  def test_equal_returns_are_uniform(
-    self, value: float, epsilon: float
-  ) -> None:
-    p = mode_sampler.returns_to_probabilities(np.full(4, value), epsilon)
-    np.testing.assert_allclose(p, np.full(4, 0.25))
-
-  def test_rows_are_independent(self) -> None:
-    returns = np.array([[1.0, 3.0, 2.0], [5.0, 5.0, 5.0]])
-    p = mode_sampler.returns_to_probabilities(returns, 0.2)
-    np.testing.assert_allclose(p[0], np.array([1.2, 0.2, 0.7]) / 2.1)
-    np.testing.assert_allclose(p[1], np.full(3, 1 / 3))
-
-  @hypothesis.settings(max_examples=50, deadline=None)
-  @hypothesis.given(returns=_RETURNS, epsilon=st.sampled_from([0.0, 0.01, 1.0]))
-  def test_poorer_is_likelier(
-    self, returns: np.ndarray, epsilon: float
-  ) -> None:
-    p = mode_sampler.returns_to_probabilities(returns, epsilon)
-    self.assertTrue(np.all(p >= 0))
-    np.testing.assert_allclose(p.sum(), 1.0)
-    in_order = p[np.argsort(returns)]
-    self.assertTrue(np.all(np.diff(in_order) <= 1e-12))
+def test_by_hand() -> None:
+  # k = -R = (-1, -3, -2); less the least (2, 0, 1); over the most
+  # (1, 0, 0.5); plus epsilon (1.2, 0.2, 0.7); the sum is 2.1.
+  p = mode_sampler.returns_to_probabilities(np.array([1.0, 3.0, 2.0]), 0.2)
+  np.testing.assert_allclose(p, np.array([1.2, 0.2, 0.7]) / 2.1)
 
 
-class ModeSamplerTest(parameterized.TestCase):
-  def test_starts_uniform(self) -> None:
-    sampler = mode_sampler.ModeSampler(4, mode_sampler.SamplingConfig())
-    np.testing.assert_allclose(sampler.initial_probabilities, np.full(4, 0.25))
-    np.testing.assert_allclose(
-      sampler.final_probabilities, np.full((4, 4), 0.25)
-    )
+def test_without_epsilon_the_best_mode_is_never_drawn() -> None:
+  p = mode_sampler.returns_to_probabilities(np.array([0.0, 4.0, 2.0]), 0.0)
+  np.testing.assert_allclose(p, [2 / 3, 0.0, 1 / 3])
 
-  def test_update_by_hand(self) -> None:
-    config = mode_sampler.SamplingConfig(gamma_initial=0.5, gamma_final=0.25)
-    sampler = mode_sampler.ModeSampler(2, config)
-    sampler.update(np.array([0, 0]), np.array([1, 0]), np.array([1.0, 2.0]))
-    # One after the other: 0.5 (0.5 x 0 + 1) + 2.
-    np.testing.assert_allclose(sampler.initial_returns, [2.5, 0.0])
-    np.testing.assert_allclose(sampler.final_returns, [[2.0, 1.0], [0.0, 0.0]])
-    sampler.update(np.array([0]), np.array([1]), np.array([4.0]))
-    np.testing.assert_allclose(sampler.initial_returns, [5.25, 0.0])
-    np.testing.assert_allclose(sampler.final_returns, [[2.0, 4.25], [0.0, 0.0]])
-    # Rows of p_f belong to initial modes: (2, 4.25) -> (1, 0) + 0.2.
-    np.testing.assert_allclose(
-      sampler.final_probabilities, [[1.2 / 1.4, 0.2 / 1.4], [0.5, 0.5]]
-    )
 
-  def test_order_of_the_update_matters(self) -> None:
-    config = mode_sampler.SamplingConfig(gamma_initial=0.5)
-    results = []
-    for returns in ([1.0, 2.0], [2.0, 1.0]):
-      sampler = mode_sampler.ModeSampler(1, config)
-      sampler.update(np.zeros(2, int), np.zeros(2, int), np.array(returns))
-      results.append(sampler.initial_returns[0])
-    self.assertEqual(results, [2.5, 2.0])
+@pytest.mark.parametrize('epsilon', (0.0, 0.2))
+@pytest.mark.parametrize('value', (0.0, -3.0, 7.5))
+def test_equal_returns_are_uniform(value: float, epsilon: float) -> None:
+  p = mode_sampler.returns_to_probabilities(np.full(4, value), epsilon)
+  np.testing.assert_allclose(p, np.full(4, 0.25))
 
-  def test_frequencies(self) -> None:
-    sampler = mode_sampler.ModeSampler(3, mode_sampler.SamplingConfig())
-    sampler.initial_returns[:] = [1.0, 3.0, 2.0]
-    sampler.final_returns[0] = [0.0, 0.0, 1.0]
-    count = 20_000
-    initial, final = sampler.sample(count, np.random.RandomState(0))
-    frequency = np.bincount(initial, minlength=3) / count
-    # Four standard deviations of such a frequency are at most 0.0142.
-    np.testing.assert_allclose(
-      frequency, sampler.initial_probabilities, atol=0.0142
-    )
-    after_first = final[initial == 0]
-    frequency = np.bincount(after_first, minlength=3) / len(after_first)
-    np.testing.assert_allclose(
-      frequency, np.array([1.2, 1.2, 0.2]) / 2.6, atol=0.02
-    )
 
-  def test_impossible_mode_is_not_drawn(self) -> None:
-    sampler = mode_sampler.ModeSampler(
-      3, mode_sampler.SamplingConfig(epsilon=0.0)
-    )
-    sampler.initial_returns[:] = [0.0, 2.0, 1.0]
-    initial, _ = sampler.sample(2000, np.random.RandomState(0))
-    self.assertNotIn(1, initial)
+def test_rows_are_independent() -> None:
+  returns = np.array([[1.0, 3.0, 2.0], [5.0, 5.0, 5.0]])
+  p = mode_sampler.returns_to_probabilities(returns, 0.2)
+  np.testing.assert_allclose(p[0], np.array([1.2, 0.2, 0.7]) / 2.1)
+  np.testing.assert_allclose(p[1], np.full(3, 1 / 3))
 
-  def test_uniform_baseline_learns_nothing(self) -> None:
-    sampler = mode_sampler.ModeSampler(
-      2, mode_sampler.SamplingConfig(adaptive=False)
-    )
-    sampler.update(np.array([0]), np.array([1]), np.array([5.0]))
-    np.testing.assert_allclose(sampler.initial_probabilities, [0.5, 0.5])
-    np.testing.assert_allclose(
-      sampler.final_probabilities, np.full((2, 2), 0.5)
-    )
 
-  def test_state_round_trip(self) -> None:
-    config = mode_sampler.SamplingConfig()
-    one, other = (mode_sampler.ModeSampler(3, config) for _ in range(2))
-    one.update(np.array([0, 2]), np.array([1, 1]), np.array([0.3, 0.9]))
-    state = one.state()
-    other.restore(state)
-    one.update(np.array([1]), np.array([1]), np.array([0.5]))
-    # The state is a copy, and the two go their own ways.
-    np.testing.assert_array_equal(state['initial_returns'], [0.3, 0.0, 0.9])
-    np.testing.assert_array_equal(other.initial_returns, [0.3, 0.0, 0.9])
-    other.update(np.array([1]), np.array([1]), np.array([0.5]))
-    np.testing.assert_array_equal(other.final_returns, one.final_returns)
+@hypothesis.settings(max_examples=50, deadline=None)
+@hypothesis.given(returns=_RETURNS, epsilon=st.sampled_from([0.0, 0.01, 1.0]))
+def test_poorer_is_likelier(returns: np.ndarray, epsilon: float) -> None:
+  p = mode_sampler.returns_to_probabilities(returns, epsilon)
+  assert np.all(p >= 0)
+  np.testing.assert_allclose(p.sum(), 1.0)
+  in_order = p[np.argsort(returns)]
+  assert np.all(np.diff(in_order) <= 1e-12)
 
-  def test_restore_rejects_another_mode_set(self) -> None:
-    config = mode_sampler.SamplingConfig()
-    state = mode_sampler.ModeSampler(3, config).state()
-    with self.assertRaisesRegex(ValueError, 'another mode set'):
-      mode_sampler.ModeSampler(4, config).restore(state)
 
-  @parameterized.parameters(
+def test_starts_uniform() -> None:
+  sampler = mode_sampler.ModeSampler(4, mode_sampler.SamplingConfig())
+  np.testing.assert_allclose(sampler.initial_probabilities, np.full(4, 0.25))
+  np.testing.assert_allclose(sampler.final_probabilities, np.full((4, 4), 0.25))
+
+
+def test_update_by_hand() -> None:
+  config = mode_sampler.SamplingConfig(gamma_initial=0.5, gamma_final=0.25)
+  sampler = mode_sampler.ModeSampler(2, config)
+  sampler.update(np.array([0, 0]), np.array([1, 0]), np.array([1.0, 2.0]))
+  # One after the other: 0.5 (0.5 x 0 + 1) + 2.
+  np.testing.assert_allclose(sampler.initial_returns, [2.5, 0.0])
+  np.testing.assert_allclose(sampler.final_returns, [[2.0, 1.0], [0.0, 0.0]])
+  sampler.update(np.array([0]), np.array([1]), np.array([4.0]))
+  np.testing.assert_allclose(sampler.initial_returns, [5.25, 0.0])
+  np.testing.assert_allclose(sampler.final_returns, [[2.0, 4.25], [0.0, 0.0]])
+  # Rows of p_f belong to initial modes: (2, 4.25) -> (1, 0) + 0.2.
+  np.testing.assert_allclose(
+    sampler.final_probabilities, [[1.2 / 1.4, 0.2 / 1.4], [0.5, 0.5]]
+  )
+
+
+def test_order_of_the_update_matters() -> None:
+  config = mode_sampler.SamplingConfig(gamma_initial=0.5)
+  results = []
+  for returns in ([1.0, 2.0], [2.0, 1.0]):
+    sampler = mode_sampler.ModeSampler(1, config)
+    sampler.update(np.zeros(2, int), np.zeros(2, int), np.array(returns))
+    results.append(sampler.initial_returns[0])
+  assert results == [2.5, 2.0]
+
+
+def test_frequencies() -> None:
+  sampler = mode_sampler.ModeSampler(3, mode_sampler.SamplingConfig())
+  sampler.initial_returns[:] = [1.0, 3.0, 2.0]
+  sampler.final_returns[0] = [0.0, 0.0, 1.0]
+  count = 20_000
+  initial, final = sampler.sample(count, np.random.RandomState(0))
+  frequency = np.bincount(initial, minlength=3) / count
+  # Four standard deviations of such a frequency are at most 0.0142.
+  np.testing.assert_allclose(
+    frequency, sampler.initial_probabilities, atol=0.0142
+  )
+  after_first = final[initial == 0]
+  frequency = np.bincount(after_first, minlength=3) / len(after_first)
+  np.testing.assert_allclose(
+    frequency, np.array([1.2, 1.2, 0.2]) / 2.6, atol=0.02
+  )
+
+
+def test_impossible_mode_is_not_drawn() -> None:
+  sampler = mode_sampler.ModeSampler(
+    3, mode_sampler.SamplingConfig(epsilon=0.0)
+  )
+  sampler.initial_returns[:] = [0.0, 2.0, 1.0]
+  initial, _ = sampler.sample(2000, np.random.RandomState(0))
+  assert 1 not in initial
+
+
+def test_uniform_baseline_learns_nothing() -> None:
+  sampler = mode_sampler.ModeSampler(
+    2, mode_sampler.SamplingConfig(adaptive=False)
+  )
+  sampler.update(np.array([0]), np.array([1]), np.array([5.0]))
+  np.testing.assert_allclose(sampler.initial_probabilities, [0.5, 0.5])
+  np.testing.assert_allclose(sampler.final_probabilities, np.full((2, 2), 0.5))
+
+
+def test_state_round_trip() -> None:
+  config = mode_sampler.SamplingConfig()
+  one, other = (mode_sampler.ModeSampler(3, config) for _ in range(2))
+  one.update(np.array([0, 2]), np.array([1, 1]), np.array([0.3, 0.9]))
+  state = one.state()
+  other.restore(state)
+  one.update(np.array([1]), np.array([1]), np.array([0.5]))
+  # The state is a copy, and the two go their own ways.
+  np.testing.assert_array_equal(state['initial_returns'], [0.3, 0.0, 0.9])
+  np.testing.assert_array_equal(other.initial_returns, [0.3, 0.0, 0.9])
+  other.update(np.array([1]), np.array([1]), np.array([0.5]))
+  np.testing.assert_array_equal(other.final_returns, one.final_returns)
+
+
+def test_restore_rejects_another_mode_set() -> None:
+  config = mode_sampler.SamplingConfig()
+  state = mode_sampler.ModeSampler(3, config).state()
+  with pytest.raises(ValueError, match='another mode set'):
+    mode_sampler.ModeSampler(4, config).restore(state)
+
+
+@pytest.mark.parametrize(
+  ('values', 'message'),
+  [
     ({'gamma_initial': 1.0}, 'gamma_initial'),
     ({'gamma_final': -0.1}, 'gamma_final'),
     ({'epsilon': -0.1}, 'epsilon'),
@@ -147,11 +151,8 @@ class ModeSamplerTest(parameterized.TestCase):
     ({'focus_fraction': -0.1}, 'a share is in'),
     ({'gait_fraction': 1.1}, 'a share is in'),
     ({'gait_fraction': float('nan')}, 'finite'),
-  )
-  def test_config_rejects(self, values: dict[str, float], message: str) -> None:
-    with self.assertRaisesRegex(ValueError, message):
-      mode_sampler.SamplingConfig(**values)  # type: ignore[arg-type]
-
-
-if __name__ == '__main__':
-  absltest.main()
+  ],
+)
+def test_config_rejects(values: dict[str, float], message: str) -> None:
+  with pytest.raises(ValueError, match=message):
+    mode_sampler.SamplingConfig(**values)  # type: ignore[arg-type]

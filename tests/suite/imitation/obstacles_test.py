@@ -1,10 +1,9 @@
-"""Tests of dmc_multimode.suite.obstacles."""
+"""Tests of dmc_multimode.suite.imitation.obstacles."""
 
 import dataclasses
 
-from absl.testing import absltest
-from absl.testing import parameterized
 import numpy as np
+import pytest
 
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set
@@ -49,46 +48,44 @@ def _user_mode(
   )
 
 
-class _Case(parameterized.TestCase):
-  def assert_spread(
-    self, values: np.ndarray, lowest: float, highest: float
-  ) -> None:
-    """They are between the bounds, and come near them both."""
-    margin = 0.02 * (highest - lowest)
-    self.assertBetween(values.min(), lowest - _HAIR, lowest + margin)
-    self.assertBetween(values.max(), highest - margin, highest + _HAIR)
-
-  def assert_nothing(self, drawn: obstacles.Obstacles) -> None:
-    np.testing.assert_array_equal(drawn.edge, np.inf)
-    np.testing.assert_array_equal(drawn.height, 0.0)
-    np.testing.assert_array_equal(drawn.gap, 0.0)
+def _assert_spread(values: np.ndarray, lowest: float, highest: float) -> None:
+  """They are between the bounds, and come near them both."""
+  margin = 0.02 * (highest - lowest)
+  assert lowest - _HAIR <= values.min() <= lowest + margin
+  assert highest - margin <= values.max() <= highest + _HAIR
 
 
-class BlockTest(_Case):
-  """Launch is made for a block of 0.4 m."""
-
-  @parameterized.parameters(0.0, 0.3)  # Where it is by now does not matter.
-  def test_launch(self, ahead: float) -> None:
-    drawn = _draw('launch', ahead)
-    self.assert_spread(drawn.edge, 0.2, 0.42)
-    self.assert_spread(drawn.height, 0.0, 0.4)
-    self.assertEqual(drawn.gap.min(), 0.0)
-    # The gap ends at the edge; where it begins there is room for the feet.
-    begin = drawn.edge - drawn.gap
-    self.assertGreaterEqual(begin.min(), 0.15 - _HAIR)
-    self.assertLess(begin.min(), 0.15 + _HAIR)
-    without = float(np.mean(drawn.gap == 0))
-    self.assertAlmostEqual(without, 0.2 / 0.5, delta=0.03)
-
-  def test_height_is_a_share_of_the_mode_s_own(self) -> None:
-    launch = library.modes()['launch']
-    low = dataclasses.replace(
-      launch, ledge=motion_lib.Ledge(edge=0.27, height=0.1)
-    )
-    self.assert_spread(_draw('launch', motions=(low,)).height, 0.0, 0.1)
+def _assert_nothing(drawn: obstacles.Obstacles) -> None:
+  np.testing.assert_array_equal(drawn.edge, np.inf)
+  np.testing.assert_array_equal(drawn.height, 0.0)
+  np.testing.assert_array_equal(drawn.gap, 0.0)
 
 
-class FlightTest(_Case):
+@pytest.mark.parametrize(
+  'ahead', [0.0, 0.3]
+)  # Where it is by now does not matter.
+def test_launch(ahead: float) -> None:
+  drawn = _draw('launch', ahead)
+  _assert_spread(drawn.edge, 0.2, 0.42)
+  _assert_spread(drawn.height, 0.0, 0.4)
+  assert drawn.gap.min() == 0.0
+  # The gap ends at the edge; where it begins there is room for the feet.
+  begin = drawn.edge - drawn.gap
+  assert begin.min() >= 0.15 - _HAIR
+  assert begin.min() < (0.15 + _HAIR)
+  without = float(np.mean(drawn.gap == 0))
+  assert without == pytest.approx(0.2 / 0.5, abs=0.03)
+
+
+def test_height_is_a_share_of_the_mode_s_own() -> None:
+  launch = library.modes()['launch']
+  low = dataclasses.replace(
+    launch, ledge=motion_lib.Ledge(edge=0.27, height=0.1)
+  )
+  _assert_spread(_draw('launch', motions=(low,)).height, 0.0, 0.1)
+
+
+class TestFlight:
   """Gaps are under what leap and hop fly over.
 
   That is from 0.138 to 0.462 m and from 0.24 to 0.36 m, at 0.3 m half of it,
@@ -98,67 +95,70 @@ class FlightTest(_Case):
   def _middles(
     self, drawn: obstacles.Obstacles, widest: float = 0.45
   ) -> np.ndarray:
-    self.assert_spread(drawn.gap, 0.1, widest)
+    _assert_spread(drawn.gap, 0.1, widest)
     level = drawn.height == 0
-    self.assertAlmostEqual(float(np.mean(level)), 0.5, delta=0.03)
-    self.assert_spread(drawn.height[~level], -0.15, 0.1)
+    assert float(np.mean(level)) == pytest.approx(0.5, abs=0.03)
+    _assert_spread(drawn.height[~level], -0.15, 0.1)
     return drawn.edge - drawn.gap / 2
 
-  @parameterized.parameters(
-    ('leap_forward', 0.6, 0.45), ('hop_forward', 0.36, 1.4 * 0.12)
+  @pytest.mark.parametrize(
+    ('name', 'cycle', 'widest'),
+    [('leap_forward', 0.6, 0.45), ('hop_forward', 0.36, 1.4 * 0.12)],
   )
   def test_under_the_first_flight_or_the_second(
     self, name: str, cycle: float, widest: float
   ) -> None:
     middle = self._middles(_draw(name), widest)
     second = middle > 0.3 + cycle / 2
-    self.assertAlmostEqual(float(np.mean(second)), 0.5, delta=0.03)
-    self.assert_spread(middle[~second], 0.24, 0.36)
-    self.assert_spread(middle[second], 0.24 + cycle, 0.36 + cycle)
+    assert float(np.mean(second)) == pytest.approx(0.5, abs=0.03)
+    _assert_spread(middle[~second], 0.24, 0.36)
+    _assert_spread(middle[second], 0.24 + cycle, 0.36 + cycle)
 
-  @parameterized.product(
-    mode=(('leap_forward', 0.9, 0.45), ('hop_forward', 0.66, 0.168)),
-    ahead=(1e-6, 0.2),
+  @pytest.mark.parametrize('ahead', (1e-6, 0.2))
+  @pytest.mark.parametrize(
+    'mode', (('leap_forward', 0.9, 0.45), ('hop_forward', 0.66, 0.168))
   )
   def test_under_the_second_where_the_first_has_begun(
     self, mode: tuple[str, float, float], ahead: float
   ) -> None:
     name, expected, widest = mode
     middle = self._middles(_draw(name, ahead), widest)
-    self.assert_spread(middle, expected - 0.06, expected + 0.06)
+    _assert_spread(middle, expected - 0.06, expected + 0.06)
 
   def test_user_s_mode(self) -> None:
     """It flies from 0.25 to 0.75 m."""
     contacts = np.array([[1, 1], [0, 0], [0, 0], [1, 1], [1, 1]])
     mode = _user_mode(motion_lib.PERIODIC, 1.0, contacts)
     middle = self._middles(_draw('mine', 0.1, (mode,)))
-    self.assert_spread(middle, 1.44, 1.56)
+    _assert_spread(middle, 1.44, 1.56)
 
 
-class GaitTest(_Case):
-  @parameterized.parameters(0.0, 0.2)
-  def test_walk(self, ahead: float) -> None:
-    drawn = _draw('walk_forward', ahead)
-    self.assert_spread(drawn.edge - ahead, 0.15, 1.2)
-    self.assert_spread(drawn.height, -0.2, 0.04)
-    np.testing.assert_array_equal(drawn.gap, 0.0)
-
-  def test_steps_are_ahead_of_each_robot(self) -> None:
-    ahead = np.random.RandomState(1).uniform(0, 0.36, _COUNT)
-    drawn = _draw('walk_forward', ahead)
-    self.assert_spread(drawn.edge - ahead, 0.15, 1.2)
-    np.testing.assert_allclose(
-      drawn.edge - ahead, _draw('walk_forward').edge, atol=_HAIR
-    )
-
-  def test_user_s_mode_without_contacts(self) -> None:
-    drawn = _draw('mine', motions=(_user_mode(motion_lib.PERIODIC, 0.3),))
-    self.assert_spread(drawn.edge, 0.15, 1.2)
-    np.testing.assert_array_equal(drawn.gap, 0.0)
+@pytest.mark.parametrize('ahead', [0.0, 0.2])
+def test_walk(ahead: float) -> None:
+  drawn = _draw('walk_forward', ahead)
+  _assert_spread(drawn.edge - ahead, 0.15, 1.2)
+  _assert_spread(drawn.height, -0.2, 0.04)
+  np.testing.assert_array_equal(drawn.gap, 0.0)
 
 
-class NothingTest(_Case):
-  @parameterized.parameters(
+def test_steps_are_ahead_of_each_robot() -> None:
+  ahead = np.random.RandomState(1).uniform(0, 0.36, _COUNT)
+  drawn = _draw('walk_forward', ahead)
+  _assert_spread(drawn.edge - ahead, 0.15, 1.2)
+  np.testing.assert_allclose(
+    drawn.edge - ahead, _draw('walk_forward').edge, atol=_HAIR
+  )
+
+
+def test_user_s_mode_without_contacts() -> None:
+  drawn = _draw('mine', motions=(_user_mode(motion_lib.PERIODIC, 0.3),))
+  _assert_spread(drawn.edge, 0.15, 1.2)
+  np.testing.assert_array_equal(drawn.gap, 0.0)
+
+
+@pytest.mark.parametrize(
+  'name',
+  [
     'idle',
     'walk_backward',
     'walk_left',
@@ -166,55 +166,55 @@ class NothingTest(_Case):
     'leap_backward',
     'leap_left',
     'leap_right',
+  ],
+)
+def test_modes_that_do_not_go_forward(name: str) -> None:
+  _assert_nothing(_draw(name))
+  _assert_nothing(_draw(name, 0.3))
+
+
+def test_slow_mode() -> None:
+  mode = _user_mode(motion_lib.PERIODIC, 0.09)
+  _assert_nothing(_draw('mine', motions=(mode,)))
+
+
+def test_jump_that_is_made_once_over_level_ground() -> None:
+  contacts = np.array([[1, 1], [0, 0], [0, 0], [1, 1], [1, 1]])
+  mode = _user_mode(motion_lib.TRANSIENT, 0.5, contacts)
+  _assert_nothing(_draw('mine', motions=(mode,)))
+
+
+def test_each_robot_meets_what_suits_its_mode() -> None:
+  count = len(_MOTIONS)
+  modes = np.random.RandomState(2).permutation(np.tile(np.arange(count), 50))
+  drawn = obstacles.ObstacleSource(mode_set.one_hot(_MOTIONS)).draw(
+    modes, np.zeros(len(modes)), np.random.RandomState(0)
   )
-  def test_modes_that_do_not_go_forward(self, name: str) -> None:
-    self.assert_nothing(_draw(name))
-    self.assert_nothing(_draw(name, 0.3))
-
-  def test_slow_mode(self) -> None:
-    mode = _user_mode(motion_lib.PERIODIC, 0.09)
-    self.assert_nothing(_draw('mine', motions=(mode,)))
-
-  def test_jump_that_is_made_once_over_level_ground(self) -> None:
-    contacts = np.array([[1, 1], [0, 0], [0, 0], [1, 1], [1, 1]])
-    mode = _user_mode(motion_lib.TRANSIENT, 0.5, contacts)
-    self.assert_nothing(_draw('mine', motions=(mode,)))
-
-
-class DrawTest(_Case):
-  def test_each_robot_meets_what_suits_its_mode(self) -> None:
-    count = len(_MOTIONS)
-    modes = np.random.RandomState(2).permutation(np.tile(np.arange(count), 50))
-    drawn = obstacles.ObstacleSource(mode_set.one_hot(_MOTIONS)).draw(
-      modes, np.zeros(len(modes)), np.random.RandomState(0)
-    )
-    of = lambda name: modes == _NAMES.index(name)
-    meeting = np.isfinite(drawn.edge)
-    expected = of('walk_forward') | of('hop_forward')
-    jumping = of('launch') | of('step_down')
-    expected |= of('leap_forward') | jumping
-    np.testing.assert_array_equal(meeting, expected)
-    gaps = drawn.gap >= 0.1
-    flying = of('leap_forward') | of('hop_forward')
-    np.testing.assert_array_equal(gaps & ~jumping, flying)
-    np.testing.assert_array_equal(
-      drawn.height > 0.1 + _HAIR, of('launch') & (drawn.height > 0.1 + _HAIR)
-    )
-    self.assertGreater(drawn.height[of('launch')].max(), 0.3)
-    self.assertLess(drawn.height[of('walk_forward')].min(), -0.15 - _HAIR)
-
-  def test_one_seed_one_draw(self) -> None:
-    one, same, other = (_draw('leap_forward', seed=seed) for seed in (3, 3, 4))
-    for mine, theirs in zip(one, same, strict=True):
-      np.testing.assert_array_equal(mine, theirs)
-    self.assertFalse(np.array_equal(one.edge, other.edge))
-
-  def test_nobody(self) -> None:
-    drawn = obstacles.ObstacleSource(mode_set.one_hot(_MOTIONS)).draw(
-      np.zeros(0, dtype=np.int64), np.zeros(0), np.random.RandomState(0)
-    )
-    self.assertEqual([field.shape for field in drawn], [(0,)] * 3)
+  of = lambda name: modes == _NAMES.index(name)
+  meeting = np.isfinite(drawn.edge)
+  expected = of('walk_forward') | of('hop_forward')
+  jumping = of('launch') | of('step_down')
+  expected |= of('leap_forward') | jumping
+  np.testing.assert_array_equal(meeting, expected)
+  gaps = drawn.gap >= 0.1
+  flying = of('leap_forward') | of('hop_forward')
+  np.testing.assert_array_equal(gaps & ~jumping, flying)
+  np.testing.assert_array_equal(
+    drawn.height > 0.1 + _HAIR, of('launch') & (drawn.height > 0.1 + _HAIR)
+  )
+  assert drawn.height[of('launch')].max() > 0.3
+  assert drawn.height[of('walk_forward')].min() < -0.15 - _HAIR
 
 
-if __name__ == '__main__':
-  absltest.main()
+def test_one_seed_one_draw() -> None:
+  one, same, other = (_draw('leap_forward', seed=seed) for seed in (3, 3, 4))
+  for mine, theirs in zip(one, same, strict=True):
+    np.testing.assert_array_equal(mine, theirs)
+  assert not np.array_equal(one.edge, other.edge)
+
+
+def test_nobody() -> None:
+  drawn = obstacles.ObstacleSource(mode_set.one_hot(_MOTIONS)).draw(
+    np.zeros(0, dtype=np.int64), np.zeros(0), np.random.RandomState(0)
+  )
+  assert ([field.shape for field in drawn]) == [(0,)] * 3

@@ -1,4 +1,4 @@
-"""Tests of dmc_multimode.suite.imitation.rewards: Eq. 3 by hand."""
+"""Tests of dmc_multimode.suite.imitation.rewards."""
 
 import dataclasses
 from typing import Any
