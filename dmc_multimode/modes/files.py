@@ -26,7 +26,6 @@ from typing import Annotated, Any, Iterable, Literal, Mapping
 
 import numpy as np
 import pydantic
-from scipy.spatial import transform
 
 from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import library
@@ -285,6 +284,8 @@ def _orientation(frame: _Keyframe, path: yaml_lines.Path) -> np.ndarray:
       (*path, 'euler'), 'give either orientation or euler, not both.'
     )
   if frame.euler is not None:
+    from scipy.spatial import transform  # Late: it loads as long as numpy.
+
     turn = transform.Rotation.from_euler('xyz', frame.euler, degrees=True)
     return turn.as_quat(scalar_first=True)
   if frame.orientation is None:

@@ -5,13 +5,15 @@ a mode and at a phase of its own, look their references up together. Frames are
 those of `motion`.
 """
 
-from typing import NamedTuple, Sequence
+from typing import NamedTuple, Sequence, TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import transform
 
 from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.utils import constants
+
+if TYPE_CHECKING:
+  from scipy.spatial import transform
 
 _LEAST_FLIGHT = 0.05  # Seconds.
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
@@ -306,11 +308,15 @@ def _next_flights(airborne: np.ndarray) -> np.ndarray:
   return flights + width * np.arange(num)[:, None]
 
 
-def _rotation(quaternions: np.ndarray) -> transform.Rotation:
+def _rotation(quaternions: np.ndarray) -> 'transform.Rotation':
+  from scipy.spatial import transform  # Late: it loads as long as numpy.
+
   return transform.Rotation.from_quat(quaternions, scalar_first=True)
 
 
-def _rotation_from_vector(vectors: np.ndarray) -> transform.Rotation:
+def _rotation_from_vector(vectors: np.ndarray) -> 'transform.Rotation':
+  from scipy.spatial import transform
+
   return transform.Rotation.from_rotvec(vectors)
 
 

@@ -14,10 +14,12 @@ their variance out of the advantages: the privileged critic observations.
 """
 
 import dataclasses
-from typing import Any, Callable, Mapping, NamedTuple
+from typing import Any, Callable, Mapping, NamedTuple, TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import transform
+
+if TYPE_CHECKING:
+  from scipy.spatial import transform
 
 NUM_JOINTS = 10
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
@@ -48,7 +50,7 @@ class PolicyView(NamedTuple):
   phase: np.ndarray
   command: np.ndarray
   quaternion: np.ndarray
-  trunk: transform.Rotation
+  trunk: 'transform.Rotation'
 
 
 class CriticView(NamedTuple):
@@ -256,6 +258,8 @@ def policy_view(
   command: np.ndarray,
 ) -> PolicyView:
   """Returns the view of B worlds, see there."""
+  from scipy.spatial import transform  # Late: it loads as long as numpy.
+
   # A world that diverged has no orientation; identity keeps the others going.
   quaternion = np.where(
     finite_rows(qpos[:, 3:7])[:, None], qpos[:, 3:7], _IDENTITY
