@@ -129,7 +129,12 @@ def _forks() -> Any:
   """
   context = multiprocessing.get_context('forkserver')
   context.set_forkserver_preload(
-    [fault_hooks.__name__, 'dmc_multimode.experiments.setup']
+    [
+      *(fault_hooks.__name__, 'dmc_multimode.experiments.setup'),
+      # Imported late: by optimisers, and by the logger. It takes seconds, and
+      # another user may not be allowed to read them.
+      *('torch._dynamo', 'torch.utils.tensorboard'),
+    ]
   )
   return context
 
