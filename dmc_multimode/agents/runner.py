@@ -1,10 +1,11 @@
 """The training loop: collect, learn, log, checkpoint."""
 
-import dataclasses
 import math
 import time
-from typing import Any, Callable, Mapping
+from typing import Annotated, Any, Callable, Mapping
 
+import pydantic
+from pydantic import dataclasses as pydantic_dataclasses
 import torch
 
 from dmc_multimode.agents import checkpointing
@@ -16,9 +17,13 @@ from dmc_multimode.agents.ppo import acting
 from dmc_multimode.agents.ppo import learning
 from dmc_multimode.agents.ppo import networks
 from dmc_multimode.agents.ppo import rollouts
+from dmc_multimode.utils import config as config_lib
+
+# Without end, too.
+_Minutes = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=True)]
 
 
-@dataclasses.dataclass(frozen=True)
+@pydantic_dataclasses.dataclass(frozen=True, config=config_lib.STRICT)
 class TrainingConfig:
   """Length of a training, and times of its reports.
 
@@ -31,20 +36,11 @@ class TrainingConfig:
       keeps none but the last.
   """
 
-  steps: int = 12_000_000
-  minutes: float = math.inf
-  log_every: int = 5
-  checkpoint_seconds: float = 60.0
-  keep_every: int = 0
-
-  def __post_init__(self) -> None:
-    if self.keep_every < 0:
-      raise ValueError(
-        f'keep_every must not be negative, got {self.keep_every}.'
-      )
-    for name in ('steps', 'minutes', 'log_every', 'checkpoint_seconds'):
-      if not getattr(self, name) > 0:
-        raise ValueError(f'{name} must be positive, got {getattr(self, name)}.')
+  steps: config_lib.PositiveInt = 12_000_000
+  minutes: _Minutes = math.inf
+  log_every: config_lib.PositiveInt = 5
+  checkpoint_seconds: config_lib.Positive = 60.0
+  keep_every: config_lib.Count = 0
 
 
 class TrainingLoop:

@@ -11,6 +11,7 @@ import signal
 import threading
 from typing import Any, Mapping, Sequence
 
+import pydantic
 import torch
 
 from dmc_multimode.agents import distributed
@@ -29,6 +30,7 @@ from dmc_multimode.modes.encoder import mode_encoder
 from dmc_multimode.modes.encoder import training as encoder_training
 from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.suite.imitation import symmetry as task_symmetry
+from dmc_multimode.utils import config as config_lib
 
 Path = str | os.PathLike[str]
 Motions = tuple[motion_lib.ReferenceMotion, ...]
@@ -83,7 +85,10 @@ def train(
       resumed, or the folder already holds one.
     FloatingPointError: the learner met numbers that are not finite.
   """
-  length = runner.TrainingConfig(steps, minutes, keep_every=keep_every)
+  try:
+    length = runner.TrainingConfig(steps, minutes, keep_every=keep_every)
+  except pydantic.ValidationError as error:
+    raise ValueError(config_lib.describe(error)) from error
   request = _Request(
     run_folder.RunFolder(run_dir),
     modes if modes is None or isinstance(modes, str) else ','.join(modes),
