@@ -5,7 +5,7 @@ r"""Trains a policy.
 
 Every field of the configurations is a flag, which --helpfull explains: --ppo_*,
 --sampling_*, --task_*. A value that changes along the training is a schedule
-FIRST[:LAST][@START[:END]] over environment steps, such as 0:0.5@8e6.
+`FIRST[:LAST][@START[:END]]` over environment steps, such as 0:0.5@8e6.
 Ctrl-C stops after the current iteration, with a checkpoint; --resume goes on
 from the last checkpoint as if nothing had happened.
 
