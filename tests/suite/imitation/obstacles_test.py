@@ -11,9 +11,9 @@ from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.suite.imitation import obstacles
 
 _MOTIONS = tuple(library.modes().values())
-_NAMES = [motion.name for motion in _MOTIONS]
 _COUNT = 4000
 _HAIR = 1e-9  # Metres: of rounding.
+_FLIGHT = np.array([[1, 1], [0, 0], [0, 0], [1, 1], [1, 1]])
 
 
 def _draw(
@@ -23,9 +23,9 @@ def _draw(
   seed: int = 0,
 ) -> obstacles.Obstacles:
   """Many obstacles for one mode."""
-  names = [motion.name for motion in motions]
-  return obstacles.ObstacleSource(mode_set.one_hot(motions)).draw(
-    np.full(_COUNT, names.index(name)),
+  known = mode_set.one_hot(motions)
+  return obstacles.ObstacleSource(known).draw(
+    np.full(_COUNT, known.index(name)),
     np.broadcast_to(np.asarray(ahead, dtype=np.float64), (_COUNT,)),
     np.random.RandomState(seed),
   )
@@ -33,18 +33,20 @@ def _draw(
 
 def _user_mode(
   kind: str, length: float, contacts: np.ndarray | None = None
-) -> motion_lib.ReferenceMotion:
-  """A mode of four equal parts that goes straight on."""
+) -> tuple[motion_lib.ReferenceMotion, ...]:
+  """A mode of four equal parts that goes straight on for a second."""
   phases = np.linspace(0.0, 1.0, 5)
   x = phases * length
-  return motion_lib.ReferenceMotion(
-    name='mine',
-    kind=kind,
-    duration=1.0,
-    phases=phases,
-    positions=np.column_stack([x, 0 * x, 0 * x + 0.5]),
-    orientations=np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)),
-    contacts=contacts,
+  return (
+    motion_lib.ReferenceMotion(
+      name='mine',
+      kind=kind,
+      duration=1.0,
+      phases=phases,
+      positions=np.column_stack([x, 0 * x, 0 * x + 0.5]),
+      orientations=np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)),
+      contacts=contacts,
+    ),
   )
 
 
@@ -55,155 +57,109 @@ def _assert_spread(values: np.ndarray, lowest: float, highest: float) -> None:
   assert highest - margin <= values.max() <= highest + _HAIR
 
 
-def _assert_nothing(drawn: obstacles.Obstacles) -> None:
-  np.testing.assert_array_equal(drawn.edge, np.inf)
-  np.testing.assert_array_equal(drawn.height, 0.0)
-  np.testing.assert_array_equal(drawn.gap, 0.0)
-
-
-@pytest.mark.parametrize(
-  'ahead', [0.0, 0.3]
-)  # Where it is by now does not matter.
-def test_launch(ahead: float) -> None:
+@pytest.mark.parametrize('ahead', (0.0, 0.3))  # Where it is does not matter.
+def test_block_of_a_launch(ahead: float) -> None:
   drawn = _draw('launch', ahead)
   _assert_spread(drawn.edge, 0.2, 0.42)
   _assert_spread(drawn.height, 0.0, 0.4)
   assert drawn.gap.min() == 0.0
   # The gap ends at the edge; where it begins there is room for the feet.
   begin = drawn.edge - drawn.gap
-  assert begin.min() >= 0.15 - _HAIR
-  assert begin.min() < (0.15 + _HAIR)
-  without = float(np.mean(drawn.gap == 0))
-  assert without == pytest.approx(0.2 / 0.5, abs=0.03)
+  assert 0.15 - _HAIR <= begin.min() < 0.15 + _HAIR
+  assert np.mean(drawn.gap == 0) == pytest.approx(0.2 / 0.5, abs=0.03)
 
 
 def test_height_is_a_share_of_the_mode_s_own() -> None:
-  launch = library.modes()['launch']
-  low = dataclasses.replace(
-    launch, ledge=motion_lib.Ledge(edge=0.27, height=0.1)
-  )
+  ledge = motion_lib.Ledge(edge=0.27, height=0.1)
+  low = dataclasses.replace(library.modes()['launch'], ledge=ledge)
   _assert_spread(_draw('launch', motions=(low,)).height, 0.0, 0.1)
 
 
-class TestFlight:
-  """Gaps are under what leap and hop fly over.
-
-  That is from 0.138 to 0.462 m and from 0.24 to 0.36 m, at 0.3 m half of it,
-  and again after cycles of 0.6 and 0.36 m.
-  """
-
-  def _middles(
-    self, drawn: obstacles.Obstacles, widest: float = 0.45
-  ) -> np.ndarray:
-    _assert_spread(drawn.gap, 0.1, widest)
-    level = drawn.height == 0
-    assert float(np.mean(level)) == pytest.approx(0.5, abs=0.03)
-    _assert_spread(drawn.height[~level], -0.15, 0.1)
-    return drawn.edge - drawn.gap / 2
-
-  @pytest.mark.parametrize(
-    ('name', 'cycle', 'widest'),
-    [('leap_forward', 0.6, 0.45), ('hop_forward', 0.36, 1.4 * 0.12)],
-  )
-  def test_under_the_first_flight_or_the_second(
-    self, name: str, cycle: float, widest: float
-  ) -> None:
-    middle = self._middles(_draw(name), widest)
-    second = middle > 0.3 + cycle / 2
-    assert float(np.mean(second)) == pytest.approx(0.5, abs=0.03)
-    _assert_spread(middle[~second], 0.24, 0.36)
-    _assert_spread(middle[second], 0.24 + cycle, 0.36 + cycle)
-
-  @pytest.mark.parametrize('ahead', (1e-6, 0.2))
-  @pytest.mark.parametrize(
-    'mode', (('leap_forward', 0.9, 0.45), ('hop_forward', 0.66, 0.168))
-  )
-  def test_under_the_second_where_the_first_has_begun(
-    self, mode: tuple[str, float, float], ahead: float
-  ) -> None:
-    name, expected, widest = mode
-    middle = self._middles(_draw(name, ahead), widest)
-    _assert_spread(middle, expected - 0.06, expected + 0.06)
-
-  def test_user_s_mode(self) -> None:
-    """It flies from 0.25 to 0.75 m."""
-    contacts = np.array([[1, 1], [0, 0], [0, 0], [1, 1], [1, 1]])
-    mode = _user_mode(motion_lib.PERIODIC, 1.0, contacts)
-    middle = self._middles(_draw('mine', 0.1, (mode,)))
-    _assert_spread(middle, 1.44, 1.56)
+# Gaps are under what leap and hop fly over: from 0.138 to 0.462 m and from 0.24
+# to 0.36 m, at 0.3 m half of it, and again after cycles of 0.6 and 0.36 m. The
+# mode of a user flies from 0.25 to 0.75 m.
+def _middles(drawn: obstacles.Obstacles, widest: float = 0.45) -> np.ndarray:
+  _assert_spread(drawn.gap, 0.1, widest)
+  level = drawn.height == 0
+  assert np.mean(level) == pytest.approx(0.5, abs=0.03)
+  _assert_spread(drawn.height[~level], -0.15, 0.1)
+  return drawn.edge - drawn.gap / 2
 
 
-@pytest.mark.parametrize('ahead', [0.0, 0.2])
-def test_walk(ahead: float) -> None:
+@pytest.mark.parametrize(
+  ('name', 'cycle', 'widest'),
+  [('leap_forward', 0.6, 0.45), ('hop_forward', 0.36, 1.4 * 0.12)],
+)
+def test_gap_under_the_first_flight_or_the_second(
+  name: str, cycle: float, widest: float
+) -> None:
+  middle = _middles(_draw(name), widest)
+  second = middle > 0.3 + cycle / 2
+  assert np.mean(second) == pytest.approx(0.5, abs=0.03)
+  _assert_spread(middle[~second], 0.24, 0.36)
+  _assert_spread(middle[second], 0.24 + cycle, 0.36 + cycle)
+  # Under the second where the first has begun.
+  for ahead in (1e-6, 0.2):
+    middle = _middles(_draw(name, ahead), widest)
+    _assert_spread(middle, 0.24 + cycle, 0.36 + cycle)
+
+
+def test_gap_of_a_user_s_mode() -> None:
+  mode = _user_mode(motion_lib.PERIODIC, 1.0, _FLIGHT)
+  _assert_spread(_middles(_draw('mine', 0.1, mode)), 1.44, 1.56)
+
+
+def test_ledges_are_ahead_of_each_walking_robot() -> None:
+  ahead = np.random.RandomState(1).uniform(0, 0.36, _COUNT)
   drawn = _draw('walk_forward', ahead)
   _assert_spread(drawn.edge - ahead, 0.15, 1.2)
   _assert_spread(drawn.height, -0.2, 0.04)
   np.testing.assert_array_equal(drawn.gap, 0.0)
-
-
-def test_steps_are_ahead_of_each_robot() -> None:
-  ahead = np.random.RandomState(1).uniform(0, 0.36, _COUNT)
-  drawn = _draw('walk_forward', ahead)
-  _assert_spread(drawn.edge - ahead, 0.15, 1.2)
   np.testing.assert_allclose(
     drawn.edge - ahead, _draw('walk_forward').edge, atol=_HAIR
   )
-
-
-def test_user_s_mode_without_contacts() -> None:
-  drawn = _draw('mine', motions=(_user_mode(motion_lib.PERIODIC, 0.3),))
+  # A mode without contacts walks.
+  drawn = _draw('mine', motions=_user_mode(motion_lib.PERIODIC, 0.3))
   _assert_spread(drawn.edge, 0.15, 1.2)
   np.testing.assert_array_equal(drawn.gap, 0.0)
 
 
 @pytest.mark.parametrize(
-  'name',
+  'motions',
   [
-    'idle',
-    'walk_backward',
-    'walk_left',
-    'walk_right',
-    'leap_backward',
-    'leap_left',
-    'leap_right',
+    _user_mode(motion_lib.PERIODIC, 0.09),  # Slow.
+    _user_mode(motion_lib.TRANSIENT, 0.5, _FLIGHT),  # Once, on level ground.
   ],
 )
-def test_modes_that_do_not_go_forward(name: str) -> None:
-  _assert_nothing(_draw(name))
-  _assert_nothing(_draw(name, 0.3))
-
-
-def test_slow_mode() -> None:
-  mode = _user_mode(motion_lib.PERIODIC, 0.09)
-  _assert_nothing(_draw('mine', motions=(mode,)))
-
-
-def test_jump_that_is_made_once_over_level_ground() -> None:
-  contacts = np.array([[1, 1], [0, 0], [0, 0], [1, 1], [1, 1]])
-  mode = _user_mode(motion_lib.TRANSIENT, 0.5, contacts)
-  _assert_nothing(_draw('mine', motions=(mode,)))
+def test_nothing_for_others(
+  motions: tuple[motion_lib.ReferenceMotion, ...],
+) -> None:
+  edge, height, gap = _draw('mine', motions=motions)
+  np.testing.assert_array_equal(edge, np.inf)
+  np.testing.assert_array_equal([height, gap], 0.0)
 
 
 def test_each_robot_meets_what_suits_its_mode() -> None:
   count = len(_MOTIONS)
   modes = np.random.RandomState(2).permutation(np.tile(np.arange(count), 50))
-  drawn = obstacles.ObstacleSource(mode_set.one_hot(_MOTIONS)).draw(
+  known = mode_set.one_hot(_MOTIONS)
+  drawn = obstacles.ObstacleSource(known).draw(
     modes, np.zeros(len(modes)), np.random.RandomState(0)
   )
-  of = lambda name: modes == _NAMES.index(name)
-  meeting = np.isfinite(drawn.edge)
-  expected = of('walk_forward') | of('hop_forward')
-  jumping = of('launch') | of('step_down')
-  expected |= of('leap_forward') | jumping
-  np.testing.assert_array_equal(meeting, expected)
-  gaps = drawn.gap >= 0.1
-  flying = of('leap_forward') | of('hop_forward')
-  np.testing.assert_array_equal(gaps & ~jumping, flying)
-  np.testing.assert_array_equal(
-    drawn.height > 0.1 + _HAIR, of('launch') & (drawn.height > 0.1 + _HAIR)
-  )
+  of = lambda *names: np.isin(modes, [known.index(name) for name in names])
+  flying, jumping = of('leap_forward', 'hop_forward'), of('launch', 'step_down')
+  meeting = of('walk_forward') | flying | jumping
+  np.testing.assert_array_equal(np.isfinite(drawn.edge), meeting)
+  np.testing.assert_array_equal(drawn.height[~meeting], 0.0)
+  np.testing.assert_array_equal((drawn.gap >= 0.1) & ~jumping, flying)
+  assert drawn.height[~of('launch')].max() <= 0.1 + _HAIR
   assert drawn.height[of('launch')].max() > 0.3
   assert drawn.height[of('walk_forward')].min() < -0.15 - _HAIR
+  none = np.zeros(0, dtype=np.int64)
+  drawn = obstacles.ObstacleSource(known).draw(
+    none, np.zeros(0), np.random.RandomState(0)
+  )
+  assert [field.shape for field in drawn] == [(0,)] * 3
 
 
 def test_one_seed_one_draw() -> None:
@@ -211,10 +167,3 @@ def test_one_seed_one_draw() -> None:
   for mine, theirs in zip(one, same, strict=True):
     np.testing.assert_array_equal(mine, theirs)
   assert not np.array_equal(one.edge, other.edge)
-
-
-def test_nobody() -> None:
-  drawn = obstacles.ObstacleSource(mode_set.one_hot(_MOTIONS)).draw(
-    np.zeros(0, dtype=np.int64), np.zeros(0), np.random.RandomState(0)
-  )
-  assert ([field.shape for field in drawn]) == [(0,)] * 3
