@@ -5,6 +5,7 @@ from typing import Any
 from unittest import mock
 
 from dm_control import composer
+import dm_env
 import mujoco
 import numpy as np
 import pytest
@@ -16,18 +17,17 @@ from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import config
 from dmc_multimode.suite.imitation import episodes
 from dmc_multimode.suite.imitation import events
-from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.walkers import mini_biped
 
 _MODES = tuple(library.modes())
-_MOVING = tuple(name for name in _MODES if name != 'idle')
-_CALM = dataclasses.replace(
-  config.ImitationConfig(),
-  events=events.NONE,
-  joint_noise=0.0,
-  velocity_noise=0.0,
-  tilt_noise=0.0,
+_CALM = config.ImitationConfig(
+  events=events.NONE, joint_noise=0.0, velocity_noise=0.0, tilt_noise=0.0
 )
+
+
+def _with_events(**changes: Any) -> config.ImitationConfig:
+  training = dataclasses.replace(events.NONE, **changes)
+  return dataclasses.replace(_CALM, events=training)
 
 
 def _env(
@@ -53,21 +53,15 @@ def _env(
   return multimode_biped.make_environment(task, 0, None)
 
 
-def _standing_action(env: composer.Environment) -> np.ndarray:
-  return mini_biped.standing_action(env.physics.model.ptr)
-
-
 def _hold_upright(env: composer.Environment) -> None:
   """Keeps the trunk where the episode began, whatever the robot does."""
-  held: dict[str, np.ndarray] = {}
+  held = np.zeros(7)
 
-  def remember(physics: Any, random_state: Any) -> None:
-    del random_state
-    held['pose'] = physics.data.qpos[:7].copy()
+  def remember(physics: Any, _: Any) -> None:
+    held[:] = physics.data.qpos[:7]
 
-  def hold(physics: Any, random_state: Any) -> None:
-    del random_state
-    physics.data.qpos[:7] = held['pose']
+  def hold(physics: Any, _: Any) -> None:
+    physics.data.qpos[:7] = held
     physics.data.qvel[:6] = 0.0
 
   env.add_extra_hook('initialize_episode', remember)
@@ -83,70 +77,40 @@ def _ground_height(env: composer.Environment, x: float) -> float:
   return 5.0 - distance
 
 
-class TestStandingStill:
-  """What early termination is for: standing still must not pay."""
+def _stand(env: composer.Environment) -> dm_env.TimeStep:
+  return env.step(mini_biped.standing_action(env.physics.model.ptr))
 
-  def _run(self, mode: str, upright: bool) -> tuple[int, str]:
-    """Returns how many steps a constant action lasted, and what ended it."""
-    env = _env([mode])
-    if upright:
-      _hold_upright(env)
-    action = _standing_action(env)
-    time_step, steps = env.reset(), 0
-    while not time_step.last():
-      time_step = env.step(action)
-      steps += 1
-    return steps, env.task.termination_cause
 
-  @pytest.mark.parametrize('upright', (False, True))
-  @pytest.mark.parametrize('mode', _MOVING)
-  def test_is_terminated_in_a_moving_mode(
-    self, mode: str, upright: bool
-  ) -> None:
-    steps, cause = self._run(mode, upright)
-    assert cause != 'none'
+# Standing still must not pay: this is what early termination is for.
+@pytest.mark.parametrize('upright', (False, True))
+@pytest.mark.parametrize('mode', _MODES)
+def test_standing_still_pays_in_idle_alone(mode: str, upright: bool) -> None:
+  env, steps = _env([mode]), 0
+  if upright:
+    _hold_upright(env)
+  time_step = env.reset()
+  while not time_step.last():
+    time_step = _stand(env)
+    steps += 1
+  if mode == 'idle':
+    assert not upright or env.task.termination_cause == 'none'
+    assert not upright or (steps, time_step.discount) == (_CALM.horizon, 1.0)
+  else:
+    assert env.task.termination_cause != 'none'
     assert steps < 0.6 * _CALM.horizon
 
-  def test_held_upright_goes_on_when_idle(self) -> None:
-    steps, cause = self._run('idle', upright=True)
-    assert cause == 'none'
-    assert steps == _CALM.horizon
 
-
-def test_is_between_zero_and_one() -> None:
-  env = _env(
-    ['walk_forward', 'launch', 'leap_left'],
-    [0.0, 0.3, 0.9],
-    dataclasses.replace(
-      config.ImitationConfig(), limits=terminations.NO_LIMITS
-    ),
-  )
-  random, spec = np.random.RandomState(0), env.action_spec()
-  env.reset()
-  for _ in range(60):
-    time_step = env.step(random.uniform(spec.minimum, spec.maximum))
-    assert 0.0 <= time_step.reward <= 1.0
-
-
-def test_on_the_reference_it_is_the_highest() -> None:
-  env = _env(['idle'])
-  _hold_upright(env)
-  env.reset()
-  time_step = env.step(_standing_action(env))
-  assert time_step.reward == pytest.approx(1.0, abs=0.5e-6)
-
-
-def test_by_hand() -> None:
-  """Held at its start, a robot falls behind a walk of 0.6 m/s."""
-  env = _env(['walk_forward'])
+@pytest.mark.parametrize(
+  ('mode', 'speed'), [('idle', 0.0), ('walk_forward', 0.6)]
+)
+def test_reward_by_hand(mode: str, speed: float) -> None:
+  """Held at its start, a robot falls behind, at so many metres per second."""
+  env = _env([mode])
   _hold_upright(env)
   env.reset()
   for step in range(1, 11):
-    time_step = env.step(_standing_action(env))
-    behind = 0.6 * 0.03 * step
-    assert time_step.reward == pytest.approx(
-      0.5 * np.exp(-5 * behind) + 0.5, abs=0.5e-6
-    )
+    reward = 0.5 * np.exp(-5 * speed * 0.03 * step) + 0.5
+    assert _stand(env).reward == pytest.approx(reward, abs=0.5e-6)
 
 
 def test_termination_has_discount_zero() -> None:
@@ -155,48 +119,18 @@ def test_termination_has_discount_zero() -> None:
   time_step = env.reset()
   while not time_step.last():
     assert time_step.discount in (None, 1.0)
-    time_step = env.step(_standing_action(env))
+    time_step = _stand(env)
   assert time_step.discount == 0.0
   assert env.task.termination_cause == 'position_error'
   # 0.35 m at 0.6 m/s in steps of 0.03 s: 19.4.
   assert env.task.core.tracker.state.step[0] == 20
 
 
-def test_time_limit_has_discount_one() -> None:
-  env = _env(['idle'], task_config=dataclasses.replace(_CALM, time_limit=0.3))
-  _hold_upright(env)
-  time_step, steps = env.reset(), 0
-  while not time_step.last():
-    time_step = env.step(_standing_action(env))
-    steps += 1
-  assert steps == 10
-  assert time_step.discount == 1.0
-  assert env.task.termination_cause == 'none'
-
-
-def test_fall_is_named() -> None:
-  env = _env(
-    ['idle'],
-    task_config=dataclasses.replace(
-      _CALM,
-      limits=terminations.TerminationLimits(np.inf, 0.0, angle=np.pi),
-    ),
-  )
-  time_step = env.reset()
-  while not time_step.last():
-    time_step = env.step(np.full(10, -1.5))
-  assert env.task.termination_cause == 'base_height'
-  assert time_step.discount == 0.0
-
-
 @pytest.mark.parametrize('noise', [0.0, 0.04])
 def test_launch_finds_its_block(noise: float) -> None:
   env = _env(
     ['launch'],
-    task_config=dataclasses.replace(
-      _CALM,
-      events=dataclasses.replace(events.NONE, edge_noise=noise),
-    ),
+    task_config=_with_events(edge_noise=noise),
   )
   edges = []
   for _ in range(6):
@@ -211,13 +145,12 @@ def test_launch_finds_its_block(noise: float) -> None:
 def test_launch_in_mid_episode_finds_it_ahead_of_the_robot() -> None:
   env = _env(['walk_forward', 'launch'], [0.0, 0.3])
   env.reset()
-  action = _standing_action(env)
   for step in range(10):
     assert env.task.mode == 'walk_forward'
     assert _ground_height(env, 2.0) == pytest.approx(0.0, abs=0.5e-6)
     # Carried along on the reference.
     env.physics.data.qpos[0] = 0.018 * step
-    env.step(action)
+    _stand(env)
   assert env.task.mode == 'launch'
   x = env.physics.data.qpos[0]
   assert x > 0.1
@@ -230,19 +163,15 @@ def test_launch_in_mid_episode_finds_it_ahead_of_the_robot() -> None:
 
 
 def test_fixed_arena_keeps_its_terrain() -> None:
+  """And the height is over what supports the robot."""
   env = _env(['launch'], arena='block')
-  env.reset()
-  assert _ground_height(env, 0.7) == pytest.approx(0.0, abs=0.5e-6)
-  assert _ground_height(env, 0.9) == pytest.approx(0.4, abs=0.5e-6)
-
-
-def test_height_is_over_the_support() -> None:
-  env = _env(['idle'], arena='block')
   observed = env.reset().observation['height'][0]
   assert observed == pytest.approx(0.5, abs=1e-7)
+  assert _ground_height(env, 0.7) == pytest.approx(0.0, abs=0.5e-6)
+  assert _ground_height(env, 0.9) == pytest.approx(0.4, abs=0.5e-6)
   env.physics.data.qpos[[0, 2]] = [1.5, 0.9]
-  time_step = env.step(_standing_action(env))
-  assert time_step.observation['height'][0] == pytest.approx(0.5, abs=0.02)
+  height = _stand(env).observation['height'][0]
+  assert height == pytest.approx(0.5, abs=0.02)
 
 
 @pytest.mark.parametrize('mode', _MODES)
@@ -250,10 +179,7 @@ def test_start_on_the_reference_is_free_of_the_ground(mode: str) -> None:
   """Whatever the phase, no foot begins deep inside a block."""
   env = _env(
     [mode],
-    task_config=dataclasses.replace(
-      _CALM,
-      events=dataclasses.replace(events.NONE, reference_starts=1.0),
-    ),
+    task_config=_with_events(reference_starts=1.0),
   )
   for _ in range(20):
     time_step = env.reset()
@@ -270,7 +196,7 @@ def test_returns_are_reported_to_the_sampler() -> None:
   with mock.patch.object(initialiser, 'update', side_effect=reported.append):
     time_step, total = env.reset(), 0.0
     while not time_step.last():
-      time_step = env.step(_standing_action(env))
+      time_step = _stand(env)
       total += time_step.reward
     env.reset()
   (batch,) = reported
@@ -284,6 +210,6 @@ def test_visualize_reward_colours_the_eye() -> None:
   env.task.visualize_reward = True
   _hold_upright(env)
   env.reset()
-  env.step(_standing_action(env))
+  _stand(env)
   eye = env.physics.bind(env.task.walker.mjcf_model.find('material', 'eye'))
   np.testing.assert_allclose(eye.rgba, [0.2, 0.7, 0.3, 1.0], atol=1e-3)

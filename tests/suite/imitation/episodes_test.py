@@ -65,12 +65,9 @@ def test_gaits_come_first() -> None:
   np.testing.assert_array_equal(
     _draw(first, 1000).final, _draw(plain, 1000).final
   )
-
-
-def test_no_gait_to_come_first() -> None:
+  # There may be none among the modes.
   modes = library.mode_set('idle,hop_forward,launch')
-  config = mode_sampler.SamplingConfig(gait_fraction=schedules.constant(0.7))
-  drawn = episodes.TransitionEpisodes(modes, config).sample(
+  drawn = episodes.TransitionEpisodes(modes, first).sample(
     np.arange(300), 0, np.random.RandomState(0)
   )
   assert len(np.unique(drawn.initial)) == 3
@@ -91,9 +88,6 @@ def test_modes_in_focus(steps: int, expected: float) -> None:
     for name in ('launch', 'idle'):
       share = float(np.mean(modes == _PI2.index(name)))
       assert share == pytest.approx(expected, abs=0.03)
-
-
-def test_focus_on_what_is_not_there() -> None:
   config = mode_sampler.SamplingConfig(focus='fly')
   with pytest.raises(ValueError, match="Unknown mode 'fly'"):
     episodes.TransitionEpisodes(_PI2, config)
@@ -112,37 +106,30 @@ def test_learns_and_restores() -> None:
   assert other.probabilities() == taught.probabilities()
 
 
-def test_one_schedule_for_all() -> None:
-  plan = schedule.from_knots(np.array([[2, 1, 3]]), 0.5, clock_rate=1.2)
-  initialiser = episodes.ScheduledEpisodes(plan)
-  assert initialiser.max_knots == 3
-  drawn = initialiser.sample(np.array([4, 9]), 0, np.random.RandomState(0))
-  np.testing.assert_array_equal(drawn.schedule.modes, [[2, 1, 3]] * 2)
-  np.testing.assert_array_equal(drawn.schedule.clock_rate, [1.2, 1.2])
-  np.testing.assert_array_equal(drawn.initial, [2, 2])
-  np.testing.assert_array_equal(drawn.final, [3, 3])
-
-
-def test_a_schedule_a_world() -> None:
+@pytest.mark.parametrize(
+  ('ids', 'rows'), [([2, 1], [2, 1]), ([4, 9], [0, 0])], ids=['each', 'one']
+)
+def test_given_schedules(ids: list[int], rows: list[int]) -> None:
+  """One a world or one for all; they draw nothing and learn nothing."""
   plan = schedule.ModeSchedule(
     np.array([[0, 1], [1, 2], [2, 0]]),
     np.array([[0.0, 1.0], [0.0, np.inf], [0.0, 2.0]]),
     np.array([1.0, 1.1, 1.2]),
   )
+  if rows == [0, 0]:
+    plan = schedule.ModeSchedule(*(field[:1] for field in vars(plan).values()))
   initialiser = episodes.ScheduledEpisodes(plan)
-  drawn = initialiser.sample(np.array([2, 1]), 0, np.random.RandomState(0))
-  np.testing.assert_array_equal(drawn.schedule.modes, [[2, 0], [1, 2]])
-  np.testing.assert_array_equal(drawn.schedule.clock_rate, [1.2, 1.1])
-  np.testing.assert_array_equal(drawn.initial, [2, 1])
-  np.testing.assert_array_equal(drawn.final, [0, 1])  # Unused columns: no.
-
-
-def test_given_schedules_draw_nothing_and_learn_nothing() -> None:
-  initialiser = episodes.ScheduledEpisodes(schedule.single(np.array([0])))
+  assert initialiser.max_knots == 2
   random_state = np.random.RandomState(0)
-  initialiser.sample(np.arange(3), 0, random_state)
-  expected = np.random.RandomState(0).randint(1 << 30)
-  assert random_state.randint(1 << 30) == expected
+  drawn = initialiser.sample(np.array(ids), 0, random_state)
+  np.testing.assert_array_equal(drawn.schedule.modes, plan.modes[rows])
+  np.testing.assert_array_equal(
+    drawn.schedule.clock_rate, plan.clock_rate[rows]
+  )
+  np.testing.assert_array_equal(drawn.initial, plan.modes[rows, 0])
+  # The final mode is the last that is commanded at all.
+  np.testing.assert_array_equal(drawn.final, np.array([1, 1, 0])[rows])
+  assert random_state.uniform() == np.random.RandomState(0).uniform()
   initialiser.update(_finished(0, 0, 1.0))
   assert initialiser.probabilities() == {}
   initialiser.restore(initialiser.state())

@@ -136,104 +136,52 @@ def test_heading_frame(
   np.testing.assert_allclose(turned[0], expected, atol=1e-12)
 
 
-def test_heading_turns_the_orientation_alone() -> None:
+@pytest.mark.parametrize(
+  ('row', 'expected'),
+  [
+    ((0.0, 1.0), True),
+    ((0.0, np.nan), False),
+    ((-np.inf, np.inf), False),
+    ((1e308, 1e308), True),  # Their sum alone is not.
+  ],
+)
+def test_finite_rows(row: tuple[float, float], expected: bool) -> None:
+  finite = observations.finite_rows(np.array([(2.0, 3.0), row]))
+  np.testing.assert_array_equal(finite, [True, expected])
+
+
+def test_policy_sees_the_orientation_in_the_commanded_heading() -> None:
+  """And nothing else; who diverged is upright."""
   ahead, turned = _policy_sees(), _policy_sees(heading=np.pi / 2)
-  np.testing.assert_allclose(
-    turned.pop('orientation'), [[1, 0, 0, 0]], atol=1e-12
-  )
+  turned_by = turned.pop('orientation')
+  np.testing.assert_allclose(turned_by, [[1, 0, 0, 0]], atol=1e-12)
   for name, part in turned.items():
     np.testing.assert_array_equal(part, ahead[name])
+  lost = _policy_sees(qpos=np.full(17, np.nan))['orientation']
+  np.testing.assert_array_equal(lost, [[1, 0, 0, 0]])
 
 
 @pytest.mark.parametrize(
-  ('first', 'second', 'expected'),
+  ('view', 'name', 'expected'),
   [
-    ((0.0, 1.0), (2.0, 3.0), (True, True)),
-    ((0.0, np.nan), (2.0, 3.0), (False, True)),
-    ((0.0, np.inf), (-np.inf, 3.0), (False, False)),
-    ((0.0, 1e308), (1e308, 3.0), (True, True)),  # Their sum alone is not.
-  ],
-)
-def test_finite_rows(
-  first: tuple[float, float],
-  second: tuple[float, float],
-  expected: tuple[bool, bool],
-) -> None:
-  finite = observations.finite_rows(np.array([first, second]))
-  np.testing.assert_array_equal(finite, expected)
-
-
-def test_diverged_world_raises_nothing() -> None:
-  parts = _policy_sees(qpos=np.full(17, np.nan))
-  np.testing.assert_array_equal(parts['orientation'], [[1, 0, 0, 0]])
-
-
-@pytest.mark.parametrize(
-  ('degrees', 'expected'),
-  [
-    (0, (0.1, 0.2, -0.3)),
+    ({'heading': 0.0}, 'position_error', (0.1, 0.2, -0.3)),
     # Whoever faces +y has what was to the left ahead.
-    (90, (0.2, -0.1, -0.3)),
-    (180, (-0.1, -0.2, -0.3)),
+    ({'heading': np.pi / 2}, 'position_error', (0.2, -0.1, -0.3)),
+    ({'heading': np.pi}, 'position_error', (-0.1, -0.2, -0.3)),
     # (0.1 + 0.2) / sqrt 2 and (0.2 - 0.1) / sqrt 2.
-    (45, (0.2121320, 0.0707107, -0.3)),
-  ],
-)
-def test_position_error_is_in_the_commanded_heading(
-  degrees: float, expected: tuple[float, float, float]
-) -> None:
-  parts = _critic_sees(heading=np.radians(degrees))
-  np.testing.assert_allclose(parts['position_error'], [expected], atol=1e-7)
-
-
-@pytest.mark.parametrize(
-  ('countdown', 'expected'),
-  [(0.0, 0.0), (1.5, 1.5), (1.53, 1.5), (np.inf, 1.5)],
-)
-def test_countdown_is_cut_off(countdown: float, expected: float) -> None:
-  parts = _critic_sees(countdown=countdown)
-  np.testing.assert_array_equal(parts['countdown'], [[expected]])
-
-
-@pytest.mark.parametrize('heading', [0.0, 2.0])
-@pytest.mark.parametrize(
-  ('distance', 'expected'),
-  [
-    (0.01, (0.01, -0.1, 0.2)),
-    (0.99, (0.99, -0.1, 0.2)),
+    ({'heading': np.pi / 4}, 'position_error', (0.2121320, 0.0707107, -0.3)),
+    ({'countdown': 0.0}, 'countdown', (0.0,)),
+    ({'countdown': 1.53}, 'countdown', (1.5,)),
+    ({'countdown': np.inf}, 'countdown', (1.5,)),
+    ({'distance': 0.01}, 'ground_ahead', (0.01, -0.1, 0.2)),
+    ({'distance': 0.99, 'heading': 2.0}, 'ground_ahead', (0.99, -0.1, 0.2)),
     # What is far ahead looks level.
-    (1.01, (1.0, 0.0, 0.0)),
-    (np.inf, (1.0, 0.0, 0.0)),
+    ({'distance': 1.01}, 'ground_ahead', (1.0, 0.0, 0.0)),
+    ({'distance': np.inf}, 'ground_ahead', (1.0, 0.0, 0.0)),
   ],
 )
-def test_ground_ahead(
-  heading: float, distance: float, expected: tuple[float, float, float]
+def test_critic_sees(
+  view: dict[str, float], name: str, expected: tuple[float, ...]
 ) -> None:
-  parts = _critic_sees(heading, distance=distance)
-  np.testing.assert_allclose(parts['ground_ahead'], [expected], atol=1e-12)
-
-
-def test_worlds_are_told_apart() -> None:
-  """Each world has its own error, heading, countdown and ground."""
-  parts = observations.observe_privileged(
-    observations.CriticView(
-      position=np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 2.0]]),
-      reference=np.zeros((2, 3)),
-      heading=np.array([0.0, np.pi / 2]),
-      contact=np.array([[1.0, 0.0], [0.0, 0.0]]),
-      countdown=np.array([np.inf, 0.3]),
-      next_command=np.array([[0.0], [1.0]]),
-      edge=np.array([1.5, np.inf]),
-      rise=np.array([0.4, 0.0]),
-      gap=np.array([0.25, 0.0]),
-    )
-  )
-  expected = {
-    'position_error': [[1.0, 0.0, 0.0], [0.0, -1.0, 2.0]],
-    'contact': [[1.0, 0.0], [0.0, 0.0]],
-    'countdown': [[1.5], [0.3]],
-    'next_command': [[0.0], [1.0]],
-    'ground_ahead': [[0.5, 0.4, 0.25], [1.0, 0.0, 0.0]],
-  }
-  for name, numbers in expected.items():
-    np.testing.assert_allclose(parts[name], numbers, atol=1e-12)
+  parts = _critic_sees(**view)
+  np.testing.assert_allclose(parts[name], [expected], atol=1e-7)
