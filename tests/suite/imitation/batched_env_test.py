@@ -186,7 +186,13 @@ def _environment(
   return multimode_biped.make_environment(task, 0, None)
 
 
-@pytest.mark.parametrize('arena', layouts.NAMES)
+@pytest.mark.parametrize(
+  'arena',
+  [
+    name if name == 'flat' else pytest.param(name, marks=pytest.mark.slow)
+    for name in layouts.NAMES
+  ],
+)
 def test_parity_in_every_mode(arena: str) -> None:
   env = _environment(arena, _ENDLESS)
   for mode in range(len(_MOTIONS)):

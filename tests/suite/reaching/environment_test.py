@@ -1,6 +1,5 @@
-"""Tests of dmc_multimode.suite.reaching_env; the contract: `suite_test`."""
+"""Tests of dmc_multimode.suite.reaching.environment, beside the contract."""
 
-import dataclasses
 import functools
 import types
 from typing import Any
@@ -27,37 +26,15 @@ _IDLE, _WALK, _LEAP, _LAUNCH = range(4)
 _load_policy = functools.cache(pretrained.load)
 
 
-def _load(
-  name: str, environment_kwargs: dict[str, Any] | None = None, **kwargs: Any
-) -> Any:
-  """The registered task with a seed."""
-  return suite.load(
-    'multimode_biped',
-    f'reach_{name}',
-    {'random': 3, **kwargs},
-    environment_kwargs,
-  )
+def _load(name: str, **kwargs: Any) -> Any:
+  """The registered task with a seed; a puppet keeps standing in it."""
+  env = suite.load('multimode_biped', f'reach_{name}', {'random': 3, **kwargs})
+  if isinstance(puppet := kwargs.get('policy'), _Puppet):
+    puppet.action = mini_biped.standing_action(env.physics.model.ptr)
+  return env
 
 
-def _assemble(
-  policy: pretrained.Policy, arena: str, config: reaching.ReachingConfig
-) -> reaching_env.ReachingEnvironment:
-  """An environment of one's own track."""
-  task = multimode_biped.make_task(
-    policy.mode_set,
-    episodes.ScheduledEpisodes(schedule.single(np.zeros(1))),
-    arena,
-    reaching.task_config(policy, config),
-  )
-  environment = multimode_biped.make_environment(
-    task, config.seed, {'time_limit': np.inf}
-  )
-  return reaching_env.ReachingEnvironment(environment, policy, lambda _: config)
-
-
-def _run(
-  env: Any, plan: list[int]
-) -> tuple[list[dm_env.TimeStep], np.ndarray, np.ndarray]:
+def _run(env: Any, plan: list[int]) -> tuple[list[dm_env.TimeStep], np.ndarray]:
   """Time steps, and trunk and joints [T, 17] after every control step."""
   path: list[np.ndarray] = []
   env.inner.add_extra_hook(
@@ -68,7 +45,7 @@ def _run(
     steps.append(env.step(mode))
     if steps[-1].last():
       break
-  return steps, np.array(path)[:, :3], np.array(path)
+  return steps, np.array(path)
 
 
 class _Puppet:
@@ -86,39 +63,45 @@ class _Puppet:
     return np.tile(self.action, (len(observations), 1))
 
 
-def _load_puppet(
-  name: str, environment_kwargs: dict[str, Any] | None = None, **kwargs: Any
-) -> tuple[Any, _Puppet]:
-  """The registered task with a puppet that keeps standing."""
-  puppet = _Puppet()
-  env = _load(name, environment_kwargs, policy=puppet, **kwargs)
-  puppet.action = mini_biped.standing_action(env.physics.model.ptr)
-  return env, puppet
-
-
 # --- It is the planner's problem.
 
 
-@pytest.mark.parametrize(
-  ('policy', 'arena', 'plan'),
-  [
-    ('quickstart', 'flat', [_WALK, _WALK, _LEAP, _LEAP, _IDLE]),
-    ('quickstart', 'gap', [_WALK] * 11),  # Falls into it.
-    ('pi2', 'flat', [_WALK, _LAUNCH, _LAUNCH, _LAUNCH, _LAUNCH, _WALK]),
-  ],
-)
-def test_what_a_planner_rolls_out(
-  policy: str, arena: str, plan: list[int]
+def _assert_alike(
+  env: Any,
+  policy: pretrained.Policy,
+  arena: str,
+  config: reaching.ReachingConfig,
+  plan: list[int],
 ) -> None:
-  loaded = _load_policy(policy)
+  """Path, rewards and success are those of the planner's problem, exactly."""
+  steps, qpos = _run(env, plan)
+  problem = problem_lib.ReachingProblem(policy, track.make(arena), config, 1, 1)
+  found = problem.rollout(np.array([plan]))
+  np.testing.assert_array_equal(qpos[:, :3], found.paths[0, : len(qpos)])
+  rewards = [step.reward for step in steps[1:]]
+  assert sum(rewards) == pytest.approx(found.returns[0], abs=1e-12)
+  # The planner's goes on after a fall, for nothing.
+  fell = steps[-1].discount == 0.0
+  assert fell or len(qpos) == found.paths.shape[1]
+  assert env.reached == found.success[0]
+
+
+def test_what_a_planner_rolls_out() -> None:
+  """On flat ground, where launch puts a block where it needs one."""
+  policy, plan = _load_policy('pi2'), [_WALK, *[_LAUNCH] * 4, _WALK]
   config = reaching.ReachingConfig((0.8, 0.0, 0.5), len(plan), seed=5)
-  if arena == 'gap':
-    config = dataclasses.replace(config, goal=(2.0, 0.0, 0.5))
-  env = _assemble(loaded, arena, config)
-  _assert_alike(env, loaded, arena, config, plan)
-  # On flat ground launch puts a block where it needs one.
-  highest = env.task.root_entity.terrain.tops.max()
-  assert highest == (0.4 if _LAUNCH in plan else 0.0)
+  task = multimode_biped.make_task(
+    policy.mode_set,
+    episodes.ScheduledEpisodes(schedule.single(np.zeros(1))),
+    'flat',
+    reaching.task_config(policy, config),
+  )
+  inner = multimode_biped.make_environment(
+    task, config.seed, {'time_limit': np.inf}
+  )
+  env = reaching_env.ReachingEnvironment(inner, policy, lambda _: config)
+  _assert_alike(env, policy, 'flat', config, plan)
+  assert env.task.root_entity.terrain.tops.max() == 0.4
 
 
 @pytest.mark.parametrize('name', reaching.TRACKS)
@@ -134,57 +117,26 @@ def test_registered_tasks_are_what_planners_get(name: str) -> None:
   assert env.control_timestep() == config.knot_duration
 
 
-def _assert_alike(
-  env: Any,
-  policy: pretrained.Policy,
-  arena: str,
-  config: reaching.ReachingConfig,
-  plan: list[int],
-) -> None:
-  """Path, rewards and success are those of the planner's problem, exactly."""
-  steps, path, _ = _run(env, plan)
-  problem = problem_lib.ReachingProblem(policy, track.make(arena), config, 1, 1)
-  found = problem.rollout(np.array([plan]))
-  np.testing.assert_array_equal(path, found.paths[0, : len(path)])
-  rewards = [step.reward for step in steps[1:]]
-  assert sum(rewards) == pytest.approx(found.returns[0], abs=1e-12)
-  # The planner's goes on after a fall, for nothing.
-  fell = steps[-1].discount == 0.0
-  assert fell or len(path) == found.paths.shape[1]
-  assert env.reached == found.success[0]
-
-
 # --- A knot.
 
 
-def test_reward_is_of_every_control_step() -> None:
+def test_reward_is_of_every_control_step_until_a_fall() -> None:
   env = _load('gap', policy='quickstart')
-  steps, path, _ = _run(env, [_WALK, _IDLE])
-  assert len(path) == 20
-  worth = np.exp(-np.linalg.norm(path - [2.0, 0.0, 0.5], axis=1))
-  assert steps[1].reward == pytest.approx(worth[:10].sum())
-  assert steps[2].reward == pytest.approx(worth[10:].sum())
-  assert (steps[1].discount, steps[2].discount) == (1.0, 1.0)
-
-
-def test_fall_ends_the_episode() -> None:
-  env = _load('gap', policy='quickstart')
-  steps, path, _ = _run(env, [_WALK] * env.knots)
-  assert steps[-1].last()
-  assert steps[-1].discount == 0.0
+  steps, qpos = _run(env, [_WALK] * env.knots)
+  assert [step.discount for step in steps[1:]] == [1.0] * (len(steps) - 2) + [0]
   assert len(steps) - 1 < env.knots
-  assert path[-1, 2] < 0.22 <= path[-2, 2]
+  assert qpos[-1, 2] < 0.22 <= qpos[-2, 2]
   # What comes before the fall in its knot is paid for, the fall is not.
-  standing = len(path) - 10 * (len(steps) - 2) - 1
-  worth = np.exp(-np.linalg.norm(path - [2.0, 0.0, 0.5], axis=1))
-  last = worth[len(path) - 1 - standing : -1].sum()
-  assert steps[-1].reward == pytest.approx(last)
+  worth = np.exp(-np.linalg.norm(qpos[:, :3] - [2.0, 0.0, 0.5], axis=1))
+  worth[-1] = 0.0
+  for i, step in enumerate(steps[1:]):
+    assert step.reward == pytest.approx(worth[10 * i : 10 * i + 10].sum())
   assert not env.reached
   assert env.step(_IDLE).first()
 
 
 def test_last_knot_ends_the_episode() -> None:
-  env, _ = _load_puppet('gap', time_limit=0.7)
+  env = _load('gap', time_limit=0.7, policy=_Puppet())
   assert env.knots == 2
   for _ in range(2):
     assert env.reset().first()
@@ -196,7 +148,8 @@ def test_last_knot_ends_the_episode() -> None:
 
 
 def test_policy_acts_on_the_new_command_at_once() -> None:
-  env, puppet = _load_puppet('gap')
+  puppet = _Puppet()
+  env = _load('gap', policy=puppet)
   env.reset()
   for mode in (_LEAP, _LEAP, _LAUNCH):
     env.step(mode)
@@ -218,7 +171,10 @@ def test_policy_acts_on_the_new_command_at_once() -> None:
 
 def test_observation() -> None:
   env = _load('gap', policy='quickstart', time_limit=1.5)
-  steps, _, qpos = _run(env, [_WALK, _WALK, _LEAP])
+  assert env.mode_names == ('idle', 'walk_forward', 'leap_forward')
+  assert env.action_spec().num_values == 3
+  assert env.reward_spec().maximum == 10
+  steps, qpos = _run(env, [_WALK, _WALK, _LEAP])
   first, second = steps[0].observation, steps[2].observation
   np.testing.assert_allclose(first['goal'], [2.0, 0.0, 0.0], atol=1e-9)
   np.testing.assert_array_equal(first['mode'], [1, 0, 0])
@@ -243,16 +199,6 @@ def test_observation() -> None:
   np.testing.assert_array_equal(steps[3].observation['mode'], [0, 0, 1])
 
 
-def test_modes_have_names() -> None:
-  env = _load('gap', policy='quickstart')
-  assert env.mode_names == ('idle', 'walk_forward', 'leap_forward')
-  assert env.action_spec().num_values == 3
-  assert env.reward_spec().maximum == 10
-  env.reset()
-  env.step(env.mode_names.index('leap_forward'))
-  assert env.task.mode == 'leap_forward'
-
-
 def test_random_track_changes_from_episode_to_episode() -> None:
   env, same = (_load('parkour', policy=_Puppet()) for _ in range(2))
   goals = []
@@ -272,21 +218,23 @@ def test_random_track_changes_from_episode_to_episode() -> None:
 
 
 @pytest.mark.parametrize(
-  'action', [-1, 4, 1.0, True, 'idle', None, [1], np.array([0, 1])]
+  ('action', 'valid'),
+  [
+    (1, True),
+    (np.int64(1), True),
+    (np.array(1, np.int32), True),
+    *((wrong, False) for wrong in (-1, 4, 1.0, True, 'idle', None, [1])),
+  ],
 )
-def test_no_action(action: Any) -> None:
+def test_action(action: Any, valid: bool) -> None:
   env = _load('gap', policy=_Puppet())
   env.reset()
+  if valid:
+    env.step(action)
+    assert env.task.mode == 'walk_forward'
+    return
   with pytest.raises(ValueError, match=r'index of a mode \(0 idle, 1 walk_for'):
     env.step(action)
-
-
-@pytest.mark.parametrize('action', [1, np.int64(1), np.array(1, np.int32)])
-def test_action(action: Any) -> None:
-  env = _load('gap', policy=_Puppet())
-  env.reset()
-  env.step(action)
-  assert env.task.mode == 'walk_forward'
 
 
 def test_no_policy() -> None:
