@@ -64,7 +64,7 @@ def main(argv: Sequence[str]) -> None:
     _POLICY.value,
     None if _PLAN.value else _SCHEDULE.value,
     _PLAN.value,
-    _OUT.value,
+    _OUT.value or '',
     _ARENA.value,
     _SEED.value,
     viewer.RecordingConfig(

@@ -6,9 +6,15 @@ One call measures everything:
     values['mra_modes'], values['acceptance']['walk_forward']
 """
 
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from dmc_multimode.utils import lazy
+
+if TYPE_CHECKING:
+  from dmc_multimode.evaluation.episodes import Episodes as Episodes
+  from dmc_multimode.evaluation.episodes import run_episodes as run_episodes
+  from dmc_multimode.evaluation.evaluator import Evaluator as Evaluator
+  from dmc_multimode.evaluation.scores import evaluate as evaluate
 
 _HOMES = {
   'Episodes': 'episodes',
@@ -16,7 +22,12 @@ _HOMES = {
   'evaluate': 'scores',
   'run_episodes': 'episodes',
 }
-__all__ = list(_HOMES)
+__all__ = [
+  'Episodes',
+  'Evaluator',
+  'evaluate',
+  'run_episodes',
+]
 
 
 def __getattr__(name: str) -> Any:

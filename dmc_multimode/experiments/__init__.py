@@ -3,9 +3,16 @@
 policy = experiments.train('runs/mine', modes='pi2', steps=10_000_000)
 """
 
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from dmc_multimode.utils import lazy
+
+if TYPE_CHECKING:
+  from dmc_multimode.experiments.config import RunConfig as RunConfig
+  from dmc_multimode.experiments.run_folder import RunFolder as RunFolder
+  from dmc_multimode.experiments.setup import build as build
+  from dmc_multimode.experiments.setup import Run as Run
+  from dmc_multimode.experiments.training import train as train
 
 _HOMES = {
   'Run': 'setup',
@@ -14,7 +21,13 @@ _HOMES = {
   'build': 'setup',
   'train': 'training',
 }
-__all__ = list(_HOMES)
+__all__ = [
+  'Run',
+  'RunConfig',
+  'RunFolder',
+  'build',
+  'train',
+]
 
 
 def __getattr__(name: str) -> Any:

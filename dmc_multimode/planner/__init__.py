@@ -7,9 +7,23 @@ One call finds a plan, and its file holds it:
     planner.PlanFile.read('plan.json').plan.modes
 """
 
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from dmc_multimode.utils import lazy
+
+if TYPE_CHECKING:
+  from dmc_multimode.planner.beam_search import BeamConfig as BeamConfig
+  from dmc_multimode.planner.plan import Course as Course
+  from dmc_multimode.planner.plan import ModePlan as ModePlan
+  from dmc_multimode.planner.plan import PlanFile as PlanFile
+  from dmc_multimode.planner.plan import PlanResult as PlanResult
+  from dmc_multimode.planner.problem import ReachingProblem as ReachingProblem
+  from dmc_multimode.planner.pushes import Push as Push
+  from dmc_multimode.planner.q_learning import (
+    QLearningConfig as QLearningConfig,
+  )
+  from dmc_multimode.planner.replanning import solve as solve
+  from dmc_multimode.planner.solver import Solver as Solver
 
 _HOMES = {
   'BeamConfig': 'beam_search',
@@ -23,7 +37,18 @@ _HOMES = {
   'Solver': 'solver',
   'solve': 'replanning',
 }
-__all__ = list(_HOMES)
+__all__ = [
+  'BeamConfig',
+  'Course',
+  'ModePlan',
+  'PlanFile',
+  'PlanResult',
+  'Push',
+  'QLearningConfig',
+  'ReachingProblem',
+  'Solver',
+  'solve',
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -5,9 +5,21 @@ One call films a schedule:
     viewer.record('pi2', 'walk_forward:2,launch:2', out='video.mp4')
 """
 
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from dmc_multimode.utils import lazy
+
+if TYPE_CHECKING:
+  from dmc_multimode.viewer.camera import Camera as Camera
+  from dmc_multimode.viewer.gl import choose_backend as choose_backend
+  from dmc_multimode.viewer.recording import film as film
+  from dmc_multimode.viewer.recording import record as record
+  from dmc_multimode.viewer.recording import Recording as Recording
+  from dmc_multimode.viewer.recording import RecordingConfig as RecordingConfig
+  from dmc_multimode.viewer.rollout import Rollout as Rollout
+  from dmc_multimode.viewer.rollout import RolloutConfig as RolloutConfig
+  from dmc_multimode.viewer.serving import view as view
+  from dmc_multimode.viewer.session import LiveSession as LiveSession
 
 _HOMES = {
   'Camera': 'camera',
@@ -21,7 +33,18 @@ _HOMES = {
   'record': 'recording',
   'view': 'serving',
 }
-__all__ = list(_HOMES)
+__all__ = [
+  'Camera',
+  'LiveSession',
+  'Recording',
+  'RecordingConfig',
+  'Rollout',
+  'RolloutConfig',
+  'choose_backend',
+  'film',
+  'record',
+  'view',
+]
 
 
 def __getattr__(name: str) -> Any:
