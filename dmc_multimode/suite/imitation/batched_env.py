@@ -98,6 +98,9 @@ class BatchedImitation:
     self.num_worlds = num_worlds
     self._arena = task.root_entity
     self._action_spec = task.walker.action_spec
+    self._bounds = np.stack(
+      [self._action_spec.minimum, self._action_spec.maximum]
+    )
     self._auto_reset = auto_reset
     self._replicas = replicas
     latent_dim = task.mode_set.latent_dim
@@ -165,10 +168,8 @@ class BatchedImitation:
 
   def step(self, actions: np.ndarray) -> BatchedTimeStep:
     """Applies actions, [B, 10], for one control step."""
-    spec = self._action_spec
-    bounds = np.stack([spec.minimum, spec.maximum])
     diverged = self.physics.step(
-      actions, bounds, self.moving, self.config.substeps
+      actions, self._bounds, self.moving, self.config.substeps
     )
     steps = self.num_worlds * self._replicas
     self.steps += steps
