@@ -144,6 +144,7 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Launch:
   return launch
 
 
+@pytest.mark.slow
 def test_one_rank_is_what_no_torchrun_is(tmp_path: pathlib.Path) -> None:
   launches = [Launch(tmp_path / name) for name in ('plain', 'torchrun')]
   started = [
@@ -162,6 +163,7 @@ def test_one_rank_is_what_no_torchrun_is(tmp_path: pathlib.Path) -> None:
   assert plain[1] == under[1]
 
 
+@pytest.mark.slow
 def test_two_ranks_hold_one_network(two: Launch) -> None:
   _assert_equal(two.network(0), two.network(1))
   tensors, values = checkpointing.load_tensors(two.run / checkpointing.NAME)
@@ -180,6 +182,7 @@ def test_two_ranks_hold_one_network(two: Launch) -> None:
   assert pretrained.load(two.run).provenance['steps'] == short_run.STEPS
 
 
+@pytest.mark.slow
 def test_killed_rank_begins_again_and_ends_the_same(
   two: Launch, tmp_path: pathlib.Path
 ) -> None:
@@ -208,6 +211,7 @@ def test_killed_rank_begins_again_and_ends_the_same(
   _assert_equal(found, expected)
 
 
+@pytest.mark.slow
 def test_both_stop_when_one_is_asked(tmp_path: pathlib.Path) -> None:
   """A signal to rank 1 alone; torchrun never hears of it."""
   launch = Launch(tmp_path / 'stopped')
@@ -228,6 +232,7 @@ def test_both_stop_when_one_is_asked(tmp_path: pathlib.Path) -> None:
   _assert_equal(launch.network(0), launch.network(1))
 
 
+@pytest.mark.slow
 def test_two_ranks_begin_with_one_policy(tmp_path: pathlib.Path) -> None:
   """Rank 0 alone reads it; steps are too small to be seen."""
   before = untrained.save_with_encoder(

@@ -158,6 +158,7 @@ def test_metrics_of_every_mode(run_dir: pathlib.Path) -> None:
     assert both == pytest.approx(1.0, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_killed_run_goes_on_bit_for_bit(
   train: processes.Binary, run_dir: pathlib.Path, tmp_path: pathlib.Path
 ) -> None:
@@ -216,6 +217,7 @@ def test_policies_are_kept_along_the_way(
   assert all(torch.equal(expected[key], found_last[key]) for key in expected)
 
 
+@pytest.mark.slow
 def test_interrupt_stops_with_a_checkpoint(tmp_path: pathlib.Path) -> None:
   """As `python -m`, in a terminal."""
   folder = tmp_path / 'interrupted'
