@@ -83,12 +83,12 @@ def make_environment(
   random: int | np.random.RandomState | None = None,
   environment_kwargs: Mapping[str, Any] | None = None,
 ) -> composer.Environment:
-  """Makes a task an environment with the task's own time limit.
+  """Wraps a task in an environment with the task's own time limit.
 
   Args:
-    task: whose model does not change between episodes.
+    task: must not change its model between episodes.
     random: a seed, or the source of all randomness.
-    environment_kwargs: for the `composer.Environment`; they win.
+    environment_kwargs: for the `composer.Environment`; override ours.
   """
   kwargs: dict[str, Any] = {
     # Half a physics step early: the physics' clock adds up rounding errors, and
@@ -109,8 +109,8 @@ def make_modes_task(
 ) -> composer_task.Imitation:
   """Builds the task of a mode or a set of modes of the library.
 
-  One mode is commanded throughout; of several, and of all transitions between
-  them, Algorithm 1 chooses.
+  One mode is commanded throughout; with several, Algorithm 1 draws the modes
+  and transitions.
 
   Args:
     modes: names, as `library.mode_set` takes them.
@@ -119,7 +119,7 @@ def make_modes_task(
     arena: a track or the name of one.
 
   Raises:
-    ValueError: the arena or a mode is unknown, or the time limit is no time.
+    ValueError: the arena or a mode is unknown, or the time limit invalid.
   """
   config = config or task_config.ImitationConfig(
     gains=REWARD_GAINS.get(str(modes), _DEFAULT_GAINS)
@@ -139,13 +139,13 @@ def imitation(
   config: task_config.ImitationConfig | None = None,
   arena: str | track.Track = 'flat',
 ) -> composer.Environment:
-  """A mode or a set of modes to be imitated; see `make_modes_task`."""
+  """Returns an environment of `make_modes_task`."""
   task = make_modes_task(modes, time_limit, config, arena)
   return make_environment(task, random, environment_kwargs)
 
 
 def _first() -> episodes_lib.ScheduledEpisodes:
-  """Episodes of the first mode."""
+  """Returns episodes of the first mode alone."""
   return episodes_lib.ScheduledEpisodes(
     schedule_lib.single(np.zeros(1, dtype=np.int64))
   )
@@ -158,21 +158,22 @@ def reach(
   environment_kwargs: Mapping[str, Any] | None = None,
   policy: str | os.PathLike[str] | reaching.Policy = 'pi2',
 ) -> reaching_env.ReachingEnvironment:
-  """A track to cross: an action is the mode that is commanded for a knot.
+  """Returns an environment of mode commands across a track.
 
-  The first episode with a seed for `random` is the one that a planner is given
-  with that seed, its track included where that is random.
+  An action is the mode that is commanded for a knot. With a seed for `random`,
+  the first episode, its track included, is the problem that a planner gets for
+  this seed.
 
   Args:
     track_name: one of `reaching.TRACKS`.
     time_limit: seconds: as many knots as fit; the problem's own if None.
     random: a seed, or the source of all randomness.
     environment_kwargs: for the `composer.Environment`.
-    policy: what turns modes into motion: the name of a shipped one, a folder,
-      or a `reaching.Policy`.
+    policy: turns modes into motion: name of a shipped policy, a folder, or a
+      `reaching.Policy`.
 
   Raises:
-    FileNotFoundError, TypeError: that is no policy.
+    FileNotFoundError, TypeError: `policy` is not a policy.
     ValueError: no knot fits into `time_limit`.
   """
   policy = reaching_env.load_policy(policy)
@@ -188,7 +189,7 @@ def reach(
     arena,
     reaching.task_config(policy, first),
   )
-  # The knots are counted; on a random track they are not always as many.
+  # Knots end the episode, and random tracks differ in their number.
   kwargs = {'time_limit': np.inf, **(environment_kwargs or {})}
   environment = make_environment(task, random, kwargs)
   return reaching_env.ReachingEnvironment(environment, policy, problem)

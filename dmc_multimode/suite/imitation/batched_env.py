@@ -28,14 +28,14 @@ class BatchedTimeStep(NamedTuple):
   """One control step of B worlds.
 
   Attributes:
-    reward: Eq. 3, and what `contact_bonus` adds to it, [B].
+    reward: Eq. 3 plus the contact-schedule bonus of `TrainingEvents`, [B].
     discount: 0 where the episode terminated, 1 elsewhere (also at the time
       limit), [B]: the mask for bootstrapping.
     last: whether the episode ended, [B]: the mask for cutting.
-    observation: what the next action sees; where `last`, that of the next
-      episode, float32 [B, D].
-    final_observation: of the worlds that ended, before their reset, float32
-      [N, D], in the order of `results.worlds`.
+    observation: observations for the next action; where `last`, the first of
+      the next episode, float32 [B, D].
+    final_observation: last observations of the N episodes that ended, before
+      the reset, in the order of `results.worlds`, float32 [N, D].
     results: the episodes that ended.
   """
 
@@ -55,10 +55,9 @@ class BatchedImitation:
     qpos, qvel: its generalised positions [B, 17] and velocities [B, 16].
     core: the task's worlds.
     steps: environment steps so far, summed over all worlds of all replicas.
-    moving: whether each world's robot moves, [B]; one that is held still is
-      where it is, and costs no time, while the clocks run on. No `state` holds
-      it.
-    invalid_cause: see `EpisodeBatch.causes`, of a world that diverged.
+    moving: whether the physics of each world is stepped, [B]. A world that is
+      not stepped costs no time; its clocks run on. Not part of `state`.
+    invalid_cause: `EpisodeBatch.causes` of a world whose physics diverged.
   """
 
   invalid_cause = terminations.NON_FINITE
@@ -83,14 +82,14 @@ class BatchedImitation:
       seed: of all randomness; the same seed gives the same worlds at any number
         of threads.
       num_threads: of the physics; 0 takes every core.
-      auto_reset: whether a world that ends begins anew by itself. Without, it
-        just runs on, and only its first end is reported.
-      privileged: ends observations with the privileged critic observations: D
-        then grows from 33 + n_m to 42 + 2 n_m.
-      replicas: how many environments like this one train together. Of several,
-        none learns from its own episodes alone: tell each by `learn`.
-      model: what `mujoco_worlds.compile_model` makes of the task, or that with
-        another mass, friction, ...; it is compiled if not given.
+      auto_reset: resets a world in the step that ends its episode. Otherwise
+        the world runs on, and only its first end is reported.
+      privileged: appends the privileged critic observations; D is
+        `observations.size(n_m, privileged)`.
+      replicas: number of environments like this one that train together. With
+        more than one, episodes update Algorithm 1 only through `learn`.
+      model: result of `mujoco_worlds.compile_model` for the task, possibly with
+        another mass or friction; compiled by default.
     """
     self.config = task.config
     self.episodes = task.episodes
@@ -142,7 +141,7 @@ class BatchedImitation:
     return mini_biped.standing_action(self.physics.model)
 
   def mirror_image(self) -> task_symmetry.MirrorImage:
-    """Returns how to exchange left and right; see `symmetry.mirror_image`."""
+    """Returns the left-right mirror image; see `symmetry.mirror_image`."""
     return task_symmetry.mirror_image(self.mode_set, self.privileged_size > 0)
 
   @property
@@ -159,8 +158,8 @@ class BatchedImitation:
   def reset_alike(self) -> np.ndarray:
     """Begins one episode in all worlds; returns the observations.
 
-    It is the one that a single world, or a Composer environment, begins with
-    the same seed.
+    The episode is the first one of a single world, or of a Composer
+    environment, with the same seed.
     """
     self._begin(np.array([0]))
     self._ended[:] = False
@@ -209,8 +208,8 @@ class BatchedImitation:
 
     Args:
       sources: indices of worlds, [B].
-      other: whose worlds these are, of the same model and task, as many as they
-        may be; its own by default.
+      other: environment that holds the source worlds, of the same model and
+        task, with any number of worlds; this one by default.
 
     Returns:
       The observations.
@@ -237,7 +236,7 @@ class BatchedImitation:
     return self._observe()
 
   def _fields(self) -> dict[str, np.ndarray]:
-    """Returns what each world has of its own, each with a leading axis B."""
+    """Returns the state arrays by name, views with a leading axis B."""
     fields = {
       'physics': self.physics.state,
       'returns': self._returns,
@@ -255,13 +254,13 @@ class BatchedImitation:
     return fields
 
   def _follow_schedules(self) -> None:
-    """Sets what changes along a training: a limit, a share of obstacles."""
+    """Sets the distance slack and the obstacle share of this step count."""
     scheduled, core, steps = self.config.events, self.core, self.steps
     core.distance_slack = scheduled.distance_slack.at(steps)
     core.terrain_events.obstacle_share = scheduled.obstacles.at(steps)
 
   def _bonus(self, outcome: imitation_core.Outcome) -> np.ndarray | float:
-    """Returns what a training pays besides Eq. 3, [B]."""
+    """Returns the contact-schedule bonus, added to Eq. 3 in training, [B]."""
     weight = self.config.events.contact_bonus.at(self.steps)
     if not weight:
       return 0.0
@@ -273,14 +272,14 @@ class BatchedImitation:
     )
 
   def _assist(self) -> None:
-    """Speeds up the robots whose references take off."""
+    """Adds the take-off assistance to the velocities of robots."""
     if not self.assistance.share:
       return
     ids, wanted = self.core.tracker.take_offs()
     self.qvel[ids, :3] += self.assistance.boost(self.qvel[ids, :3], wanted)
 
   def _push(self) -> None:
-    """Pushes some robots in some horizontal direction, now and then."""
+    """Applies random horizontal pushes; see `events.push`."""
     config, scheduled = self.config, self.config.events
     events.push(
       self.qvel,
@@ -292,14 +291,14 @@ class BatchedImitation:
   def _conclude(
     self, outcome: imitation_core.Outcome, observation: np.ndarray
   ) -> BatchedTimeStep:
-    """Ends episodes and begins the next ones."""
+    """Returns the time step; ends and, with `auto_reset`, begins episodes."""
     terminated = outcome.cause > 0
     last = terminated | (self.core.tracker.state.step >= self.config.horizon)
     last &= ~self._ended
     ids = np.flatnonzero(last)
     results = self._finished(ids, outcome.cause)
-    # A learner multiplies what it makes of this by a discount of 0 where the
-    # state diverged, which would still be NaN.
+    # Where the state diverged, a learner multiplies the value of this
+    # observation by a discount of 0, and 0 * NaN would still be NaN.
     final_observation = np.nan_to_num(observation[ids], posinf=0, neginf=0)
     if self._auto_reset:
       self._begin(ids)
@@ -320,7 +319,7 @@ class BatchedImitation:
   def _finished(
     self, ids: np.ndarray, causes: np.ndarray
   ) -> episodes_lib.EpisodeBatch:
-    """Returns the episodes of the worlds `ids`, after learning from them."""
+    """Returns the finished episodes of the worlds `ids`; `learn`s from them."""
     highest = self.config.gains.highest * self.config.horizon
     batch = episodes_lib.EpisodeBatch(
       ids,
@@ -335,7 +334,7 @@ class BatchedImitation:
     return batch
 
   def learn(self, outcomes: episodes_lib.Outcomes) -> None:
-    """Learns from finished episodes, one after the other."""
+    """Updates Algorithm 1 and assistance with finished episodes, in order."""
     if len(outcomes.initial):
       self.episodes.update(outcomes)
       self.assistance.update(outcomes.final, outcomes.causes == 0)
@@ -356,15 +355,15 @@ class BatchedImitation:
     self._initial[ids], self._final[ids] = episodes.initial, episodes.final
 
   def _move_boxes(self, ids: np.ndarray) -> None:
-    """Puts the boxes of the worlds `ids` where their terrains say."""
+    """Moves the boxes of the worlds `ids` to the segments of their terrains."""
     self.physics.move_boxes(ids, self.core.terrain.rows(ids))
 
   def feet_contact(self) -> np.ndarray:
-    """Returns feet on the ground (left, right), 0 or 1, [B, 2]."""
+    """Returns the contacts of the feet (left, right), 0 or 1, [B, 2]."""
     return (self.physics.touch() > self.config.contact_force).astype(np.float64)
 
   def measure(self) -> dict[str, np.ndarray]:
-    """Returns what evaluations look at, copies with a leading axis B.
+    """Returns copies of the quantities that evaluations use, by name.
 
     position: of the trunk, world metres, [B, 3]; reference: likewise; support:
     height of the plane under the trunk, metres, [B]; yaw: of the trunk in the
@@ -397,7 +396,7 @@ class BatchedImitation:
     return observations.flatten(parts)
 
   def state(self) -> dict[str, np.ndarray]:
-    """Returns copies of everything that `restore` needs to go on exactly."""
+    """Returns copies of the whole state: `restore` continues bit for bit."""
     state: dict[str, Any] = {
       name: field.copy() for name, field in self._fields().items()
     }
@@ -410,10 +409,10 @@ class BatchedImitation:
     return state
 
   def restore(self, state: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Restores a `state`; returns the observations of that moment.
+    """Restores a `state`; returns its observations.
 
     Raises:
-      ValueError: the state is of another number of worlds or another task.
+      ValueError: the state belongs to another number of worlds or another task.
     """
     if state['physics'].shape != self.physics.state.shape:
       raise ValueError(
@@ -427,7 +426,7 @@ class BatchedImitation:
           f'{field.shape}: use the same task.'
         )
       field[:] = state[name]
-    # Earlier versions called it so, and the episodes had a counter as well.
+    # Earlier versions wrote `total_steps`, and a counter of the episodes.
     self.steps = int(state['steps' if 'steps' in state else 'total_steps'])
     for name, part in self._stateful_parts():
       part.restore(_sub(state, f'{name}/'))

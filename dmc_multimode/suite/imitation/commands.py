@@ -1,8 +1,8 @@
 """Commands, clocks and references of a batch of worlds, without any physics.
 
-`ModeTracker` is what the Composer task (one world) and the batched environment
-(many) share: which mode is commanded, where its reference is anchored and how
-far its clock has run.
+`ModeTracker` holds, for the Composer task (one world) and the batched
+environment (many), the commanded modes, the anchors of their references and
+their phases.
 """
 
 from typing import NamedTuple
@@ -18,7 +18,7 @@ _NEVER = np.iinfo(np.int64).max
 
 
 class Tracked(NamedTuple):
-  """The trackers' state that must survive a checkpoint; [B] unless said.
+  """State of a `ModeTracker` that checkpoints hold; [B] unless said.
 
   Attributes:
     schedule_modes: [B, K].
@@ -30,7 +30,7 @@ class Tracked(NamedTuple):
     phase: in [0, 1].
     anchor: origin of the anchor frame, world metres, [B, 3].
     heading: commanded heading, radians.
-    edge: where the ledge begins that the mode is made for, world metres;
+    edge: x of the ledge that the running mode is made for, world metres;
       infinite without one.
     rise: height of that ledge, metres.
   """
@@ -128,11 +128,11 @@ class ModeTracker:
   def expect_ledge(
     self, ids: np.ndarray, edge: np.ndarray, rise: float
   ) -> None:
-    """Tells the worlds `ids` which ledge their modes are about to climb.
+    """Sets the ledges that the modes of the worlds `ids` climb or descend.
 
     Args:
       ids: worlds, [N].
-      edge: where it begins, world metres, [N]; infinite if it is nowhere.
+      edge: x of its edge, world metres, [N]; infinite if there is none.
       rise: its height in the motion, metres.
     """
     self.state.edge[ids], self.state.rise[ids] = edge, rise
@@ -140,7 +140,7 @@ class ModeTracker:
   def expected_support(
     self, x: np.ndarray, ids: np.ndarray | slice = slice(None)
   ) -> np.ndarray:
-    """Returns how high the motions expect the ground under `x` to be.
+    """Returns the ground heights at `x` that the motions expect, metres, [N].
 
     Args:
       x: world positions of the worlds `ids`, metres, [N].
@@ -151,7 +151,7 @@ class ModeTracker:
     return state.anchor[ids, 2] + np.where(climbed, state.rise[ids], 0.0)
 
   def advance(self) -> None:
-    """Moves every world's clock on by one control step."""
+    """Advances every world's clock by one control step."""
     state = self.state
     state.step[:] += 1
     state.phase[:] += self._phase_step()
@@ -160,16 +160,16 @@ class ModeTracker:
       self._wrap(over)
 
   def _phase_step(self) -> np.ndarray:
-    """Returns how far the clocks run in a control step, [B]."""
+    """Returns the increments of the phases in a control step, [B]."""
     state, durations = self.state, self.bank.durations
     return self._timestep * state.clock_rate / durations[state.mode]
 
   def take_offs(self) -> tuple[np.ndarray, np.ndarray]:
-    """Returns who took off in the control step that `advance` ended.
+    """Returns the take-offs of the control step that `advance` ended.
 
     Returns:
-      The worlds whose clocks have just passed the take-off of their mode, [N],
-      and the velocities that their references take off with, world m/s, [N, 3].
+      Worlds whose clocks have just passed the take-off of their mode, [N], and
+      the take-off velocities of their references, world m/s, [N, 3].
     """
     state, bank = self.state, self.bank
     takeoffs = bank.takeoffs[state.mode]
@@ -181,7 +181,7 @@ class ModeTracker:
     return ids, _turn(velocity, state.heading[ids])
 
   def _wrap(self, over: np.ndarray) -> None:
-    """Ends a cycle: transient modes hold, the others begin again."""
+    """Ends cycles: transient modes hold phase 1, the others restart at 0."""
     state, bank = self.state, self.bank
     hold = over & bank.transient[state.mode]
     again = np.flatnonzero(over & ~hold)
@@ -194,11 +194,11 @@ class ModeTracker:
     state.heading[again] += bank.turns[modes]
 
   def pop_due_commands(self) -> tuple[np.ndarray, np.ndarray]:
-    """Takes the commands that are due now off the schedules.
+    """Pops the commands that are due now off the schedules.
 
     Returns:
-      The worlds whose mode changes, [N], and their new modes, [N]. A command
-      equal to the running mode lets it continue and is not among them.
+      Worlds whose mode changes, [N], and their new modes, [N]. A command of the
+      running mode changes nothing and is left out.
     """
     state = self.state
     following = np.minimum(state.knot + 1, state.schedule_steps.shape[1] - 1)
@@ -242,7 +242,7 @@ class ModeTracker:
   def reference(
     self, ids: np.ndarray | slice = slice(None)
   ) -> reference_lib.Reference:
-    """Returns the references of the worlds `ids` now; of all by default.
+    """Returns the current references of the worlds `ids`, by default of all.
 
     Positions are in the world frame; orientations are relative to the heading.
     """
@@ -252,7 +252,7 @@ class ModeTracker:
     return local._replace(position=state.anchor[ids] + turned)
 
   def airborne(self, ids: np.ndarray) -> np.ndarray:
-    """Returns whether references of `ids` have no foot on the ground, [N]."""
+    """Returns whether the references of `ids` are in flight, [N]."""
     state = self.state
     local = self.bank.sample(state.mode[ids], state.phase[ids])
     return local.has_contact & ~local.contact.any(axis=1)
@@ -260,7 +260,7 @@ class ModeTracker:
   def swing_timing(
     self, ids: np.ndarray
   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns `ReferenceBank.swing_timing` of worlds `ids`, at their clocks."""
+    """Returns `ReferenceBank.swing_timing` of `ids` at their phases."""
     state = self.state
     rate = state.clock_rate[ids]
     swinging, time, length = self.bank.swing_timing(
@@ -271,7 +271,7 @@ class ModeTracker:
   def upcoming(
     self, ids: np.ndarray | slice = slice(None)
   ) -> tuple[np.ndarray, np.ndarray]:
-    """Returns what is commanded next in the worlds `ids`; in all by default.
+    """Returns the next commands of the worlds `ids`, by default of all.
 
     Returns:
       Seconds until the next command, infinite where there is none, [N], and
@@ -295,9 +295,9 @@ class ModeTracker:
   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Returns position, orientation and velocity of the references of `ids`.
 
-    In the world frame, [N, 3] metres, [N, 4] and [N, 3] m/s; to be called right
-    after `reset`, when the headings are zero. See
-    `ReferenceBank.start_velocity`.
+    In the world frame: [N, 3] metres, [N, 4] quaternions, [N, 3] m/s. Valid
+      right after `reset` only, while the headings are zero. See
+      `ReferenceBank.start_velocity`.
     """
     state = self.state
     modes, phases = state.mode[ids], state.phase[ids]

@@ -1,4 +1,4 @@
-"""The imitation task as dm_control users load it: a Composer task."""
+"""The imitation task as a dm_control Composer task, for one world."""
 
 import collections
 from typing import Any
@@ -41,7 +41,7 @@ class Imitation(composer.Task):
 
     Args:
       walker: the robot; becomes part of the arena.
-      arena: where it goes.
+      arena: the track that the robot is attached to.
       mode_set: the modes.
       episodes: chooses each episode's mode schedule.
       config: of the task; defaults otherwise.
@@ -150,13 +150,13 @@ class Imitation(composer.Task):
     episode = self.episodes.sample(_WORLD, 0, random_state)
     self._episode = episode
     qpos, qvel = self.core.start(_WORLD, episode, terrain, random_state)
-    self._arena.apply(physics, self._standing_terrain())
+    self._arena.apply(physics, self._current_terrain())
     physics.data.qpos[:], physics.data.qvel[:] = qpos[0], qvel[0]
     self._outcome, self._return = None, 0.0
     self._observe(physics)
 
   def _finish_episode(self) -> None:
-    """Hands the episode before a reset, if any, to Algorithm 1."""
+    """Updates Algorithm 1 with the finished episode, if there is one."""
     if self._episode is None or self._outcome is None:
       return
     highest = self.config.gains.highest * self.config.horizon
@@ -172,7 +172,7 @@ class Imitation(composer.Task):
     )
     self._episode = None
 
-  def _standing_terrain(self) -> terrain_lib.Terrain:
+  def _current_terrain(self) -> terrain_lib.Terrain:
     return self.core.terrain.rows(_WORLD)
 
   def before_step(
@@ -188,7 +188,7 @@ class Imitation(composer.Task):
   def after_step(
     self, physics: Any, random_state: np.random.RandomState
   ) -> None:
-    """Judges the step, then carries out the commands that are due."""
+    """Computes the outcome of the step, then carries out the due commands."""
     qpos, qvel = _state(physics)
     # Not through a binding: it would first run `forward`, and the forces would
     # be those after the last physics step instead of those in it.
@@ -208,13 +208,13 @@ class Imitation(composer.Task):
     """Commands a mode now, whatever the schedule says.
 
     As for a scheduled command, the reference is anchored where the robot is,
-    and a mode that runs already just goes on. `observation` tells of it at
-    once; an environment's time step, which is older, does not.
+    and a mode that runs already continues. `observation` includes the command
+    at once; the time step that the environment returned before does not.
 
     Args:
       physics: of the running episode.
       mode: index into `mode_set`.
-      random_state: of the places of steps.
+      random_state: source of the places of ledges.
     """
     if mode != self.core.tracker.state.mode[0]:
       qpos, _ = _state(physics)
@@ -225,9 +225,9 @@ class Imitation(composer.Task):
     self._observe(physics)
 
   def _rebuild(self, physics: Any, changed: np.ndarray) -> None:
-    """Moves the boxes if the terrain is among those that changed."""
+    """Moves the boxes if the terrain changed."""
     if len(changed):
-      self._arena.apply(physics, self._standing_terrain())
+      self._arena.apply(physics, self._current_terrain())
       physics.forward()
 
   def _observe(self, physics: Any) -> None:
@@ -239,12 +239,12 @@ class Imitation(composer.Task):
     physics.bind(material).rgba = np.append(colour, 1.0)
 
   def get_reward(self, physics: Any) -> float:
-    """Eq. 3."""
+    """The reward of Eq. 3."""
     del physics
     return float(self._outcome.reward[0]) if self._outcome else 0.0
 
   def should_terminate_episode(self, physics: Any) -> bool:
-    """Returns whether a limit of `TerminationLimits` is crossed."""
+    """Returns True where a limit of `TerminationLimits` is crossed."""
     del physics
     return bool(self._outcome and self._outcome.cause[0])
 
@@ -254,7 +254,7 @@ class Imitation(composer.Task):
 
   @property
   def termination_cause(self) -> str:
-    """Cause of an early end, one of `CAUSES`; 'none' while it goes on."""
+    """Cause of an early end, one of `CAUSES`; 'none' otherwise."""
     cause = self._outcome.cause[0] if self._outcome else 0
     return terminations.CAUSES[cause]
 

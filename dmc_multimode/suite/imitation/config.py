@@ -1,4 +1,4 @@
-"""Everything that the imitation task can be tuned by, in one dataclass."""
+"""Configuration of the imitation task, one dataclass for both engines."""
 
 import math
 from typing import Any, Mapping
@@ -19,18 +19,20 @@ class ImitationConfig:
   Attributes:
     gains: weights and sensitivities of Eq. 3.
     limits: early termination.
-    events: what only serves a training; `events.NONE` for an evaluation.
+    events: training events; `events.NONE` for an evaluation. The default has
+      those of a training: half of the episodes start mid-stride, and edges are
+      noisy.
     time_limit: length of an episode, seconds.
     control_timestep: period of the policy, seconds.
     physics_timestep: period of the physics, seconds; divides the former.
     servo_inertia: gives the joints the inertia that makes long physics steps
       behave as short ones do; see `MiniBiped.add_servo_inertia`.
-    commands_from_ground: commands a mode only when the one before it is on the
-      ground, and has made its jump; see `schedule.transitions`.
+    commands_from_ground: postpones commands that would fall into a flight, or
+      before the jump of a transient mode; see `schedule.transitions`.
     joint_noise: standard deviation of the initial joint angles, radians.
     velocity_noise: standard deviation of the initial velocities, m/s and rad/s.
     tilt_noise: standard deviation of the initial roll and pitch, radians.
-    contact_force: feet pressed harder than this are in contact, newtons.
+    contact_force: least force on a foot that counts as a contact, newtons.
   """
 
   gains: rewards.RewardGains = rewards.RewardGains()
@@ -66,12 +68,12 @@ class ImitationConfig:
 
 
 def to_dict(config: ImitationConfig) -> dict[str, Any]:
-  """Returns the configuration as JSON-able values."""
+  """Returns the configuration as JSON values."""
   return config_lib.to_dict(config)
 
 
 def from_dict(values: Mapping[str, Any]) -> ImitationConfig:
-  """Returns what `to_dict` was given, now or by an earlier version.
+  """Returns the configuration of a `to_dict`, also of an earlier version.
 
   Raises:
     ValueError: in one line, a field is unknown, missing or of the wrong type.
@@ -85,14 +87,14 @@ def from_dict(values: Mapping[str, Any]) -> ImitationConfig:
 
 
 def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
-  """Returns the JSON of an earlier version's task in the words of this one.
+  """Returns an earlier version's JSON of a task with this version's keys.
 
-  What was written before there was a `servo_inertia` knew none, nor a limit of
-  the angle, nor did commands wait for the ground; what serves training alone
-  had no part of its own, and every schedule two to four fields.
+  JSON without `servo_inertia` also had no limit of the angle, and commands did
+  not wait for the ground. Training events were fields of the task itself, and
+  each schedule two to four fields.
 
   Raises:
-    KeyError, TypeError, ValueError: it is no such table.
+    KeyError, TypeError, ValueError: the JSON is not that of a task.
   """
   new = dict(values)
   new['gains'] = _upgraded_gains(values['gains'])

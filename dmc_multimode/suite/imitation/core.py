@@ -1,9 +1,8 @@
 """The imitation task without an engine, for a batch of worlds.
 
-The Composer task drives one world of this, the batched environment many: both
-hand in positions, velocities and contacts and get back rewards, terminations,
-observations and where to put the terrain. The task means the same in both
-because it is the same code.
+The Composer task drives one world of it, the batched environment many. Both
+pass positions, velocities and contacts, and receive rewards, terminations,
+observations and the terrain, so that the task is the same code in both engines.
 
 A control step is, in this order: physics; `advance` (clock, reward and
 termination against the mode that was in force); `switch` (a command that is due
@@ -37,7 +36,7 @@ class Outcome(NamedTuple):
     reward: in [0, 1].
     terms: the weighted terms of the reward by name.
     errors: distances from the reference, by the names of the terms.
-    reference: that was in force.
+    reference: pose of the mode that was in force.
     cause: index into `terminations.CAUSES`, 0 where the episode goes on.
   """
 
@@ -49,13 +48,13 @@ class Outcome(NamedTuple):
 
 
 class ImitationCore:
-  """Task state of B worlds and the rules that move it.
+  """Task state of B worlds, and its transitions.
 
   Attributes:
     config: of the task.
     tracker: commands, clocks and references.
     terrain: of every world.
-    terrain_events: edits it when modes begin.
+    terrain_events: edits the terrain when modes begin.
     contact: feet on the ground (left, right), 0 or 1, [B, 2].
     distance_slack: added to the limit on the distance, metres.
   """
@@ -106,7 +105,7 @@ class ImitationCore:
 
     Args:
       ids: worlds, [N].
-      episodes: what they practise, N of them.
+      episodes: their schedules, N of them.
       terrain: their N terrains.
       random_state: source of the initial state's noise.
 
@@ -137,7 +136,7 @@ class ImitationCore:
   def advance(
     self, qpos: np.ndarray, qvel: np.ndarray, contact: np.ndarray
   ) -> Outcome:
-    """Moves the clocks on and judges the state that the physics reached.
+    """Advances the clocks; returns the outcome of the state reached.
 
     Args:
       qpos, qvel: generalised positions [B, 17] and velocities [B, 16].
@@ -147,7 +146,8 @@ class ImitationCore:
     self.contact[:] = contact
     self.tracker.advance()
     finite = observations.finite_rows(qpos) & observations.finite_rows(qvel)
-    # A world that diverged is nowhere; anywhere keeps the others going.
+    # A world that diverged has no position; any finite one keeps the others
+    # going.
     safe = qpos if finite.all() else np.where(finite[:, None], qpos, _ANYWHERE)
     reference = self.reference(safe[:, 0])
     orientation = observations.heading_frame(
@@ -173,10 +173,10 @@ class ImitationCore:
   def reference(
     self, x: np.ndarray, ids: np.ndarray | slice = slice(None)
   ) -> reference_lib.Reference:
-    """Returns the references of the worlds `ids`, over the ground at `x`.
+    """Returns the references of the worlds `ids`, shifted with the ground.
 
-    Where the ground under the trunk is another than the motion is made for,
-    the motion is carried up or down with it.
+    A motion is shifted vertically by the difference between the support height
+    at `x` and the height that the motion expects there.
 
     Args:
       x: of the trunks, world metres, [N].
@@ -211,7 +211,7 @@ class ImitationCore:
       ids: worlds, [N].
       modes: their new modes, [N].
       qpos: of all worlds, [B, 17].
-      random_state: of the places of ledges and obstacles.
+      random_state: source of the places of ledges and obstacles.
 
     Returns:
       The worlds whose terrain changed.
@@ -226,10 +226,10 @@ class ImitationCore:
   def contact_schedule_agreement(
     self, reference: reference_lib.Reference, soles: np.ndarray
   ) -> np.ndarray:
-    """Returns how well feet keep the reference's contacts, see `events`, [B].
+    """Returns `events.contact_schedule_agreement` of the feet, [B].
 
     Args:
-      reference: that is in force.
+      reference: pose of the mode that is in force.
       soles: world positions of the soles (left, right), metres, [B, 2, 3].
     """
     grounds = [self.support(soles[:, foot, 0]) for foot in range(2)]
@@ -241,11 +241,11 @@ class ImitationCore:
     )
 
   def _ground(self, ids: np.ndarray | slice) -> terrain_lib.Terrain:
-    """Returns the terrains of the worlds `ids`, not copied for a slice."""
+    """Returns the terrains of the worlds `ids`; a view if `ids` is a slice."""
     return terrain_lib.Terrain(*(field[ids] for field in self.terrain))
 
   def support(self, x: np.ndarray) -> np.ndarray:
-    """Returns the height of the support plane under every world's x, [B]."""
+    """Returns the support heights at `x`, one position a world, metres, [B]."""
     return terrain_lib.support_height(self.terrain, x)
 
   def observe(

@@ -1,4 +1,4 @@
-"""Mode schedules that episodes practise, drawn or given, and their ends."""
+"""Mode schedules of episodes, drawn or given, and their outcomes."""
 
 from typing import Mapping, NamedTuple, Protocol
 
@@ -13,7 +13,7 @@ class Episodes(NamedTuple):
   """N episodes.
 
   Attributes:
-    schedule: what is commanded when.
+    schedule: mode schedules of N worlds.
     initial: index of the first mode, [N].
     final: index of the last mode, [N].
   """
@@ -24,15 +24,15 @@ class Episodes(NamedTuple):
 
 
 class Outcomes(Protocol):
-  """Outcomes of N finished episodes, wherever they were."""
+  """Outcomes of N finished episodes, of this process or of others."""
 
   @property
   def initial(self) -> np.ndarray:
-    """Indices of their first modes, [N]."""
+    """Indices of the first modes, [N]."""
 
   @property
   def final(self) -> np.ndarray:
-    """Indices of their last modes, [N]."""
+    """Indices of the last modes, [N]."""
 
   @property
   def returns(self) -> np.ndarray:
@@ -40,19 +40,18 @@ class Outcomes(Protocol):
 
   @property
   def causes(self) -> np.ndarray:
-    """Causes of their ends, 0 for the time limit, [N]."""
+    """Indices into `terminations.CAUSES`, 0 for the time limit, [N]."""
 
 
 class EpisodeBatch(NamedTuple):
   """N finished episodes.
 
   Attributes:
-    worlds: where, [N].
+    worlds: indices of their worlds, [N].
     initial, final: indices of their first and last modes, [N].
     returns: normalised returns, sum of rewards over horizon x sum of w, [N].
     lengths: control steps, [N].
-    causes: why they ended, index into `terminations.CAUSES`; 0 for the time
-      limit, [N].
+    causes: indices into `terminations.CAUSES`; 0 for the time limit, [N].
   """
 
   worlds: np.ndarray
@@ -64,7 +63,7 @@ class EpisodeBatch(NamedTuple):
 
 
 class EpisodeInitialiser(Protocol):
-  """Chooses the episodes and learns from their outcome."""
+  """Draws episodes, and adapts the draw to their outcomes."""
 
   max_knots: int
 
@@ -80,13 +79,13 @@ class EpisodeInitialiser(Protocol):
     """
 
   def update(self, outcomes: Outcomes) -> None:
-    """Learns from finished episodes, one after the other."""
+    """Updates the draw with finished episodes, in order."""
 
   def probabilities(self) -> dict[str, float]:
-    """Returns what it samples how often, for logs; may be empty."""
+    """Returns the sampling probabilities by name, for logs; may be empty."""
 
   def state(self) -> dict[str, np.ndarray]:
-    """Returns copies of what `restore` needs."""
+    """Returns copies of the state."""
 
   def restore(self, state: Mapping[str, np.ndarray]) -> None:
     """Restores a `state`."""
@@ -95,7 +94,7 @@ class EpisodeInitialiser(Protocol):
 class TransitionEpisodes:
   """Algorithm 1: an initial mode, a switch at a phase, a final mode.
 
-  Some modes may be practised more at first: see `SamplingConfig`.
+  `SamplingConfig` can prefer some modes at first.
   """
 
   max_knots = 2
@@ -106,10 +105,10 @@ class TransitionEpisodes:
     config: mode_sampler.SamplingConfig | None = None,
     commands_from_ground: bool = True,
   ):
-    """Samples over the modes of `mode_set`; see `schedule.transitions`.
+    """Samples the modes of `mode_set`; see `schedule.transitions`.
 
     Raises:
-      ValueError: a mode that is to be practised more is none of these.
+      ValueError: `config.focus` names a mode that is not in the set.
     """
     self._mode_set = mode_set
     self._config = config or mode_sampler.SamplingConfig()
@@ -139,7 +138,7 @@ class TransitionEpisodes:
     return Episodes(schedule, initial, final)
 
   def _preferences(self, steps: int) -> tuple[tuple[np.ndarray, float], ...]:
-    """Returns modes that are practised more, and how often they replace one."""
+    """Returns preferred modes, each with its probability of replacement."""
     config = self._config
     return (
       (self._gaits, config.gait_fraction.at(steps)),
@@ -170,10 +169,10 @@ class TransitionEpisodes:
 
 
 class ScheduledEpisodes:
-  """Given schedules: one for all worlds, or world i runs row i."""
+  """Fixed schedules: one for all worlds, or row i for world i."""
 
   def __init__(self, schedule: schedule_lib.ModeSchedule):
-    """Runs `schedule`, of one world or of as many as the environment has."""
+    """Keeps `schedule`, of one world or of all worlds of the environment."""
     self._schedule = schedule
     self.max_knots = schedule.modes.shape[1]
 
@@ -193,15 +192,15 @@ class ScheduledEpisodes:
     return Episodes(schedule, schedule.modes[:, 0], final)
 
   def update(self, outcomes: Outcomes) -> None:
-    """Learns nothing."""
+    """Does nothing: the schedules are fixed."""
 
   def probabilities(self) -> dict[str, float]:
-    """Returns nothing: nothing is drawn."""
+    """Returns an empty dictionary: nothing is drawn."""
     return {}
 
   def state(self) -> dict[str, np.ndarray]:
-    """Returns nothing: there is no state."""
+    """Returns an empty dictionary: there is no state."""
     return {}
 
   def restore(self, state: Mapping[str, np.ndarray]) -> None:
-    """Restores nothing."""
+    """Does nothing: there is no state."""

@@ -1,14 +1,14 @@
-"""Events that only serve a training: pushes, assistance, bonuses, obstacles.
+"""Training events: pushes, assistance, bonus, obstacles, initial states.
 
-A task is evaluated without: `dataclasses.replace(config, events=NONE)`. All of
-it but the initial states changes along a training, by its environment steps
-summed over all worlds, and nothing here counts them.
+An evaluation has none: `dataclasses.replace(config, events=NONE)`. All but the
+initial states are schedules of environment steps, summed over all worlds; the
+caller counts them. The batched engine alone has pushes, assistance, bonus and
+schedules; the Composer task uses `obstacles` at step 0 and no slack.
 
-From rest, half a jump onto a block pays no more than none. So at take-off the
-robot is given a share of the velocity that it should have by then: all of it
-at first, so that it practises flights and landings from rest, and less and less
-as long as a third of the episodes that end on a block survive. This is the
-take-off assistance curriculum.
+The take-off assistance curriculum: from rest, half a jump onto a block earns no
+more than no jump. So at take-off the robot is given a share of the velocity
+that it lacks. The share falls from 1 to 0, while at least a third of the
+episodes that end in a mode with a flight survive.
 """
 
 import dataclasses
@@ -22,30 +22,28 @@ from dmc_multimode.utils import schedule
 
 _MEMORY = 0.995  # The mean follows about the last 200 episodes.
 _ENOUGH = 1 / 3  # Share of survivors above which assistance fades.
-_CLEARANCE = 0.05  # Metres: as high as a swinging foot needs to be.
+_CLEARANCE = 0.05  # Metres: clearance at which a swinging foot agrees fully.
 _ZERO = schedule.constant(0.0)
 
 
 @pydantic_dataclasses.dataclass(frozen=True, config=config.STRICT)
 class TrainingEvents:
-  """Events that happen to robots in a training alone.
+  """Events of trainings; evaluations have none.
 
   Attributes:
     reference_starts: share of the episodes that start on the reference at a
       random phase, with the reference's velocity.
     edge_noise: half-width of the uniform noise on the distance to a ledge that
       a mode such as launch needs, metres.
-    distance_slack: how much farther than `limits.distance` a robot may be from
-      its reference, metres.
+    distance_slack: added to `limits.distance`, metres.
     assistance_steps: environment steps over which the take-off assistance
-      fades, of those in which enough episodes survive; 0 for none.
-    contact_bonus: weight of what is added to the reward where feet stand and
-      swing as the reference's do, see `contact_schedule_agreement`; no
-      normalised return counts it. A gait that has been learned stays with
-      less, and then keeps closer to its reference.
+      fades, counted while enough episodes survive; 0 for no assistance.
+    contact_bonus: weight of `contact_schedule_agreement`, which is added to the
+      reward and not to normalised returns. A gait that has been learned keeps
+      with a smaller weight, and then follows its reference more closely.
     obstacles: share of the commands that meet an obstacle, see
       `suite.imitation.obstacles`.
-    push_speed: most velocity that a push adds, m/s.
+    push_speed: largest velocity that a push adds, m/s.
     push_interval: mean time between the pushes of a robot, seconds.
   """
 
@@ -68,11 +66,11 @@ class TrainingEvents:
 
   @property
   def most_obstacles(self) -> float:
-    """The largest share of commands that ever meet an obstacle."""
+    """Largest share of commands that meet an obstacle, over all steps."""
     return max(self.obstacles.first, self.obstacles.last)
 
   def at_end(self) -> 'TrainingEvents':
-    """Returns the events as they are when every schedule has ended."""
+    """Returns the events at the end of every schedule, as constants."""
     changes: dict[str, Any] = {
       name: schedule.constant(value.last)
       for name, value in vars(self).items()
@@ -86,15 +84,15 @@ NONE = TrainingEvents(reference_starts=0.0, edge_noise=0.0)
 
 
 class TakeoffAssistance:
-  """The share of a take-off's velocity that the robot is given."""
+  """Take-off assistance: the share of a lacking velocity that robots get."""
 
   def __init__(self, steps: int, assisted: np.ndarray):
-    """Begins with all of it.
+    """Starts at a share of 1.
 
     Args:
-      steps: environment steps over which it fades, of those in which enough
+      steps: environment steps over which it fades, counted while enough
         episodes survive; 0 for no assistance.
-      assisted: whether each mode is, [M].
+      assisted: whether each mode is assisted, [M].
     """
     self._steps = steps
     self._assisted = np.asarray(assisted, dtype=bool)
@@ -102,29 +100,29 @@ class TakeoffAssistance:
     self.share = 1.0 if steps and self._assisted.any() else 0.0
 
   def boost(self, velocity: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Returns what to add to velocities at take-off, m/s, [N, 3].
+    """Returns increments of the velocities at take-off, m/s, [N, 3].
 
-    It points along the wanted velocity and never leads beyond it.
+    An increment is parallel to the wanted velocity, and never exceeds it.
 
     Args:
       velocity: of the trunk, world m/s, [N, 3].
-      wanted: what it should be, not zero, world m/s, [N, 3].
+      wanted: of the reference, not zero, world m/s, [N, 3].
     """
     reached = np.sum(velocity * wanted, axis=1) / np.sum(wanted**2, axis=1)
     return np.clip(1 - reached, 0, self.share)[:, None] * wanted
 
   def update(self, final: np.ndarray, survived: np.ndarray) -> None:
-    """Takes finished episodes: their last modes and whether they survived."""
+    """Counts finished episodes: last modes and whether they survived, [N]."""
     for value in survived[self._assisted[final]]:
       self._survival += (1 - _MEMORY) * (value - self._survival)
 
   def fade(self, steps: int) -> None:
-    """Fades by so many environment steps, if enough episodes survive."""
+    """Fades by `steps` environment steps, if enough episodes survive."""
     if self.share > 0 and self._survival > _ENOUGH:
       self.share = max(self.share - steps / self._steps, 0.0)
 
   def state(self) -> dict[str, np.ndarray]:
-    """Returns what `restore` needs."""
+    """Returns the state for `restore`."""
     return {
       'survival': np.array(self._survival),
       'share': np.array(self.share),
@@ -142,13 +140,13 @@ def push(
   probability: float,
   random_state: np.random.RandomState,
 ) -> None:
-  """Pushes some robots in some horizontal direction.
+  """Adds random horizontal velocities to some robots, in place.
 
   Args:
-    qvel: generalised velocities, [B, 16]; those of the pushed change.
-    speed: most velocity that a push adds, m/s; nothing is drawn where it is 0.
+    qvel: generalised velocities, [B, 16]; changed in place.
+    speed: largest velocity that a push adds, m/s; at 0 nothing is drawn.
     probability: of a push, for each robot.
-    random_state: source of who, how hard and where to.
+    random_state: source of the robots, speeds and directions.
   """
   if not speed:
     return
@@ -165,19 +163,19 @@ def contact_schedule_agreement(
   reference_contact: np.ndarray,
   has_contact: np.ndarray,
 ) -> np.ndarray:
-  """Returns how well feet keep the reference's contacts, in [0, 1], [B].
+  """Returns the agreement of feet and reference contacts, in [0, 1], [B].
 
-  Not part of Eq. 3, whose contact term is flat between a foot that stands and
-  one in the air: here a foot that should swing is the better, the higher it is,
-  up to 5 cm. One that should stand is right in contact. The product of both
-  feet: a shuffle, which always has one of them right, is right in nothing.
+  Not part of Eq. 3, whose contact term is flat between stance and swing. Here a
+  foot that should swing agrees in proportion to its clearance, up to 5 cm; one
+  that should stand agrees in contact. The product over both feet is 0 for a
+  shuffle, which always has one foot right.
 
   Args:
     contact, reference_contact: feet on the ground (left, right), 0 or 1,
       [B, 2].
     clearance: of the soles over the ground below, metres, [B, 2].
-    has_contact: whether the reference prescribes contacts, [B]; elsewhere feet
-      are always right.
+    has_contact: whether the reference prescribes contacts, [B]; where not, the
+      agreement is 1.
   """
   swing = np.clip(clearance / _CLEARANCE, 0.0, 1.0)
   right = np.where(reference_contact > 0, contact, swing)

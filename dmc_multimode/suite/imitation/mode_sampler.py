@@ -10,7 +10,8 @@ p_f(. | m_i). After it, with its normalised return R,
     RETURNS2PROB(R):  K <- -R;  K <- K - min K;  K <- K / max K;
                       K <- K + epsilon;  p <- K / sum K
 
-so that what is done poorly is practised more. The baseline draws uniformly.
+so that modes and transitions with poor returns are practised more. The baseline
+draws uniformly.
 """
 
 from typing import Annotated, Any, Mapping
@@ -27,18 +28,18 @@ _Memory = Annotated[float, pydantic.Field(ge=0, lt=1)]
 
 @pydantic_dataclasses.dataclass(frozen=True, config=config_lib.STRICT)
 class SamplingConfig:
-  """Parameters of Algorithm 1, and what it does not decide.
+  """Parameters of Algorithm 1, and of the preferences that override it.
 
   Attributes:
     adaptive: samples poor modes and transitions more often; uniform otherwise.
     gamma_initial: memory gamma_i of the modes' returns, in [0, 1).
     gamma_final: memory gamma_f of the transitions' returns, in [0, 1).
     epsilon: offset that keeps the best mode in the draw.
-    gait_fraction: schedule of how often a drawn mode is replaced by a gait, a
-      mode that steps with one foot at a time: who learns to bound on both feet
-      first walks so as well.
-    focus: names of modes, comma-separated, that replace a drawn mode likewise.
-    focus_fraction: schedule of how often they do.
+    gait_fraction: probability that a drawn mode is replaced by a gait, a mode
+      that steps with one foot at a time; a schedule. A policy that learns to
+      bound on both feet first bounds in its gaits, too.
+    focus: names of modes that replace a drawn mode likewise, comma-separated.
+    focus_fraction: probability that they do; a schedule.
     focus_end: environment steps after which they no longer do; 0 for no end.
   """
 
@@ -57,14 +58,14 @@ class SamplingConfig:
     return tuple(name.strip() for name in self.focus.split(',') if name.strip())
 
   def focus_at(self, steps: int) -> float:
-    """Returns how often a drawn mode is replaced by one of `focus`."""
+    """Returns the probability that a mode of `focus` replaces a drawn one."""
     if self.focus_end and steps >= self.focus_end:
       return 0.0
     return self.focus_fraction.at(steps)
 
 
 def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
-  """Returns the JSON of an earlier version in the words of this one."""
+  """Returns an earlier version's JSON with this version's keys."""
   if 'gait_fraction' in values:
     return dict(values)
   new = dict(values)
@@ -79,7 +80,7 @@ def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
     if start
     else share
   )
-  if not new['focus_end']:  # Which once was: never.
+  if not new['focus_end']:  # 0 once stood for never.
     new['focus'] = ''
   return new
 
@@ -105,7 +106,7 @@ def returns_to_probabilities(returns: np.ndarray, epsilon: float) -> np.ndarray:
 
 
 class ModeSampler:
-  """Draws (m_i, m_f) pairs and learns from the episodes' returns."""
+  """Draws pairs (m_i, m_f); adapts to the returns of their episodes."""
 
   def __init__(self, num_modes: int, config: SamplingConfig):
     """Starts with all returns at 0, as Algorithm 1 does."""
@@ -147,7 +148,7 @@ class ModeSampler:
       self.final_returns[i, f] = gamma_f * self.final_returns[i, f] + value
 
   def state(self) -> dict[str, np.ndarray]:
-    """Returns copies of everything that `restore` needs."""
+    """Returns copies of the state for `restore`."""
     return {
       'initial_returns': self.initial_returns.copy(),
       'final_returns': self.final_returns.copy(),

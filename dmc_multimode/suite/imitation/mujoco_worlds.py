@@ -14,7 +14,7 @@ from dmc_multimode.suite.imitation import composer_task
 from dmc_multimode.walkers import mini_biped
 
 _SOLE = np.array([0.0, 0.0, 0.01])  # Under the middle of a level foot, metres.
-# What a changed size of a box changes in a model.
+# Fields of a model that depend on the size of a box.
 _SIZES = ('geom_size', 'geom_rbound', 'geom_aabb', 'bvh_aabb')
 
 
@@ -22,10 +22,10 @@ class MujocoWorlds:
   """B physics states of one model, stepped together on a thread pool.
 
   Attributes:
-    model: that all worlds share, but for the sizes of their boxes.
+    model: shared by all worlds, but for the sizes of their boxes.
     batch: the engine.
-    qpos, qvel: generalised positions [B, 17] and velocities [B, 16]; to be
-      written in place.
+    qpos, qvel: generalised positions [B, 17] and velocities [B, 16], views;
+      writing to them sets the state.
   """
 
   def __init__(
@@ -38,8 +38,8 @@ class MujocoWorlds:
     """Allocates the worlds.
 
     Args:
-      model: of `compile_model`.
-      arena: of the task from which it was compiled.
+      model: result of `compile_model`.
+      arena: of the task that the model was compiled from.
       num_worlds: B.
       num_threads: 0 takes every core.
     """
@@ -61,7 +61,7 @@ class MujocoWorlds:
 
   @property
   def state(self) -> np.ndarray:
-    """The whole state of every world, to be written in place, [B, S]."""
+    """Full physics state of every world, [B, S], a view."""
     return self.batch.state
 
   def reset(self, ids: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> None:
@@ -72,16 +72,16 @@ class MujocoWorlds:
   def step(
     self, actions: np.ndarray, bounds: np.ndarray, moving: np.ndarray, num: int
   ) -> np.ndarray:
-    """Makes physics steps.
+    """Steps the physics.
 
     Args:
       actions: joint targets in radians, [B, 10].
-      bounds: least and most of them, [2, 10].
+      bounds: minimum and maximum of the targets, radians, [2, 10].
       moving: whether each world is stepped, [B].
       num: physics steps.
 
     Returns:
-      The worlds in which the engine gave up, [N].
+      Indices of the worlds that diverged, [N].
     """
     np.clip(actions, bounds[0], bounds[1], out=self._ctrl)
     try:
@@ -91,7 +91,7 @@ class MujocoWorlds:
     return np.zeros(0, dtype=np.int64)
 
   def move_boxes(self, ids: np.ndarray, terrain: terrain_lib.Terrain) -> None:
-    """Puts the boxes of the worlds `ids` where N terrains have segments."""
+    """Moves the boxes of the worlds `ids` to the segments of N terrains."""
     if not len(ids):
       return
     centres, halves = terrain_lib.boxes(terrain)
@@ -111,7 +111,7 @@ class MujocoWorlds:
 
 
 def make_spec(task: composer_task.Imitation) -> mujoco.MjSpec:
-  """Returns the task's model with no sensors but those of the feet."""
+  """Returns the specification of the task's model, with foot sensors only."""
   root = task.root_entity.mjcf_model
   spec = mujoco.MjSpec.from_string(root.to_xml_string(), root.get_assets())
   kept = {sensor.full_identifier for sensor in task.walker.foot_sensors}
@@ -122,7 +122,7 @@ def make_spec(task: composer_task.Imitation) -> mujoco.MjSpec:
 
 
 def compile_model(task: composer_task.Imitation) -> mujoco.MjModel:
-  """Compiles the task's model with nothing in it that only eyes look at.
+  """Compiles the task's model without visual elements.
 
   Visual geoms, cameras, lights and all sensors but those of the feet cost a
   fifth of every physics step and change none.

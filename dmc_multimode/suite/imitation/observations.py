@@ -6,11 +6,10 @@ Sizes, the layout and the left-right mirror image follow from the declarations.
 Orientation and heading-dependent quantities are relative to the commanded
 heading, never to the world.
 
-The policy knows neither where the robot is nor what comes next, yet both decide
-the return: the distance from the reference is paid for in every step, and a
-command that is due soon changes everything. A value function that is only used
-in training may know them (an asymmetric critic, Pinto et al. 2017), which takes
-their variance out of the advantages: the privileged critic observations.
+The policy observes neither its distance from the reference nor the next
+command, yet both determine the return. A value function that is used in
+training alone may observe them (an asymmetric critic, Pinto et al. 2017), which
+takes their variance out of the advantages: the privileged critic observations.
 """
 
 import dataclasses
@@ -23,12 +22,12 @@ if TYPE_CHECKING:
 
 NUM_JOINTS = 10
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
-_HORIZON = 1.5  # Seconds: commands later than this matter little.
-_SIGHT = 1.0  # Metres: what is farther ahead matters little.
+_HORIZON = 1.5  # Seconds: the countdown saturates here.
+_SIGHT = 1.0  # Metres: the distance to a ledge saturates here.
 
 
 class PolicyView(NamedTuple):
-  """Quantities that the policy's terms are computed of; see `policy_view`.
+  """Inputs of the policy's terms; see `policy_view`.
 
   Attributes:
     qpos: free joint (world position in metres, quaternion), then the joints in
@@ -40,7 +39,7 @@ class PolicyView(NamedTuple):
     phase: in [0, 1], [B].
     command: latent of the commanded mode, [B, n_m].
     quaternion: of the trunk, (w, x, y, z), finite, [B, 4].
-    trunk: the same as rotations, B of them.
+    trunk: the same orientations as rotations, B of them.
   """
 
   qpos: np.ndarray
@@ -54,18 +53,18 @@ class PolicyView(NamedTuple):
 
 
 class CriticView(NamedTuple):
-  """Quantities that the critic's terms are computed of.
+  """Inputs of the critic's terms.
 
   Attributes:
     position, reference: of the trunk, world metres, [B, 3].
     heading: commanded heading, radians, [B].
     contact: feet on the ground (left, right), 0 or 1, [B, 2].
     countdown: seconds until the next command, infinite without one, [B].
-    next_command: its latent, [B, n_m].
-    edge: where the next segment of the ground starts, world metres, infinite
-      without one, [B].
-    rise: its height over the ground here, metres, [B].
-    gap: of nothing before it, metres, [B].
+    next_command: latent of the next command, [B, n_m].
+    edge: x of the start of the next segment of the ground, world metres,
+      infinite without one, [B].
+    rise: height of that segment over the support, metres, [B].
+    gap: width of the gap before that segment, metres, [B].
   """
 
   position: np.ndarray
@@ -84,14 +83,13 @@ class Term:
   """One part of the flat observation.
 
   Attributes:
-    name: of the part.
+    name: key of the part in the observation.
     unit: of its numbers; empty for none.
-    function: computes it of a view, [B, size].
-    size: how many numbers; None for those of a latent, which is mirrored by the
-      mode that it stands for.
-    signs: of its numbers in the left-right mirror image, [size]; all 1 if None.
-    order: which of its numbers each is in the mirror image, [size]; itself if
-      None.
+    function: computes the part from a view, [B, size].
+    size: length of the part; None for a latent's n_m. A latent is mirrored to
+      that of the mirrored mode.
+    signs: of the entries in the left-right mirror image, [size]; 1 if None.
+    order: indices of the entries in the mirror image, [size]; itself if None.
   """
 
   name: str
@@ -183,7 +181,7 @@ def layout(
 
 
 def size(latent_dim: int, privileged: bool = False) -> int:
-  """Returns how many numbers the flat observation has."""
+  """Returns the length D of the flat observation."""
   return sum(length for _, length in layout(latent_dim, privileged))
 
 
@@ -197,8 +195,8 @@ def mirror(
     privileged: with the critic's terms.
 
   Returns:
-    The order [D] and the signs float32 [D] of flat observations, and where the
-    latents begin, which are mirrored by their modes.
+    The order [D] and the signs, float32 [D], of flat observations, and the
+    start indices of the latents, which are mirrored by their modes.
   """
   orders, signs, latents, start = [], [], [], 0
   for term, (_, length) in zip(
@@ -228,7 +226,7 @@ def heading_frame(quaternion: np.ndarray, heading: np.ndarray) -> np.ndarray:
     Unit quaternions with w >= 0, [B, 4].
   """
   c, s = np.cos(heading / 2), np.sin(heading / 2)
-  # Numbers that lie together are worked on much faster.
+  # Contiguous arrays are much faster here.
   w, x, y, z = np.ascontiguousarray(quaternion.T)
   # The product of the inverse heading (c, 0, 0, -s) and the quaternion.
   turned = np.stack(
@@ -241,7 +239,7 @@ def heading_frame(quaternion: np.ndarray, heading: np.ndarray) -> np.ndarray:
 
 def finite_rows(values: np.ndarray) -> np.ndarray:
   """Returns whether all numbers of each row [B, N] are finite, [B]."""
-  # All are, as a rule; and a sum is not finite where what it sums is not.
+  # Usually all are finite, and then one sum is enough to know it.
   with np.errstate(over='ignore', invalid='ignore'):
     total = values.sum()
   if np.isfinite(total):
@@ -257,8 +255,8 @@ def policy_view(
   phase: np.ndarray,
   command: np.ndarray,
 ) -> PolicyView:
-  """Returns the view of B worlds, see there."""
-  from scipy.spatial import transform  # Late: it loads as long as numpy.
+  """Returns the inputs of the policy's terms; see `PolicyView`."""
+  from scipy.spatial import transform  # Late: scipy imports slowly.
 
   # A world that diverged has no orientation; identity keeps the others going.
   quaternion = np.where(
@@ -293,7 +291,7 @@ def _in_heading(vectors: np.ndarray, heading: np.ndarray) -> np.ndarray:
 
 
 def _ground_ahead(view: CriticView) -> np.ndarray:
-  """Returns distance, rise and gap of what is near; the far looks level."""
+  """Returns distance, rise and gap of a near ledge, metres, [B, 3]."""
   distance = view.edge - view.position[:, 0]
   near = distance < _SIGHT
   parts = np.minimum(distance, _SIGHT), near * view.rise, near * view.gap

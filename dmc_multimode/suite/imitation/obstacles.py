@@ -1,10 +1,10 @@
-"""Obstacles in the way of a mode while it is practised: pure draws.
+"""Obstacles on the way of a mode in training: pure draws.
 
-A policy that only ever ran on level ground, and found its block where the
-reference has it, trips over everything else. So in a training some commands
-meet an obstacle of the kind that their mode can master: a gap under its flight,
-a block of another height or at another distance, a step down ahead of a gait.
-The policy does not see it; it learns to be ready for it.
+A policy trained on level ground, with blocks exactly where the references have
+them, trips over everything else. So in a training some commands meet an
+obstacle that their mode can master: a gap under its flight, a block of another
+height or at another distance, a low ledge ahead of a gait. The policy does not
+observe the obstacle; it learns to be robust.
 """
 
 from typing import NamedTuple
@@ -14,8 +14,8 @@ import numpy as np
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import motion as motion_lib
 
-_FORWARD = 0.1  # Metres a cycle at least: slower modes meet nothing.
-_FOOTHOLD = 0.15  # Metres ahead of the trunk that stay as they are.
+_FORWARD = 0.1  # Metres a cycle: slower modes meet no obstacle.
+_FOOTHOLD = 0.15  # Metres ahead of the trunk where the ground never changes.
 
 # Of a flight over level ground, metres.
 _GAP_WIDTH = (0.1, 0.45)
@@ -36,10 +36,10 @@ class Obstacles(NamedTuple):
   """The next obstacles of N robots; all in metres.
 
   Attributes:
-    edge: where the next segment starts, ahead of the anchor, [N]; infinite
-      where the ground goes on as it is.
+    edge: distance from the anchor to the start of the next segment, [N];
+      infinite for no obstacle.
     height: of that segment over the ground here, [N].
-    gap: of nothing before it, [N].
+    gap: width of the gap before that segment, [N].
   """
 
   edge: np.ndarray
@@ -51,7 +51,7 @@ class ObstacleSource:
   """Draws obstacles that suit the modes of a set."""
 
   def __init__(self, mode_set: mode_set_lib.ModeSet):
-    """Looks up what the modes can master."""
+    """Derives the obstacles that each mode of `mode_set` can master."""
     motions, bank = mode_set.motions, mode_set.bank
     ledges = [motion.ledge for motion in motions]
     self._climbing = np.array([ledge is not None for ledge in ledges])
@@ -73,7 +73,7 @@ class ObstacleSource:
 
     Args:
       modes: their modes, [N].
-      ahead: how far from the anchor they are in these already, metres, [N].
+      ahead: distances of the references from their anchors, metres, [N].
       random_state: source of sizes and places.
     """
     count = len(modes)
@@ -111,7 +111,7 @@ class ObstacleSource:
 
 
 def _flight(motion: motion_lib.ReferenceMotion) -> tuple[float, float]:
-  """Returns begin and end of its flight, metres ahead of the anchor, or nan."""
+  """Returns x of take-off and touch-down from the anchor, metres, or nan."""
   if motion.contacts is None:
     return np.nan, np.nan
   airborne = np.flatnonzero(~motion.contacts.any(axis=1))

@@ -10,7 +10,7 @@ from dmc_multimode.utils import constants
 from dmc_multimode.walkers import kinematics
 
 _SLOWEST_START = 0.5  # Share of the reference's velocity.
-_FOOT_REACH = 0.12  # Metres ahead and behind the trunk that feet may cover.
+_FOOT_REACH = 0.12  # Metres ahead of and behind the trunk where feet may be.
 
 
 def initial_state(
@@ -21,15 +21,15 @@ def initial_state(
   on_reference: np.ndarray,
   random_state: np.random.RandomState,
 ) -> tuple[np.ndarray, np.ndarray]:
-  """Poses the robots of `ids` on their references, with noise.
+  """Returns initial states on the references of `ids`, with noise.
 
   Args:
     tracker: of all worlds, which has just been reset.
     terrain: of the worlds `ids`.
     config: of the noise.
     ids: worlds, [N].
-    on_reference: whether a robot has the reference's velocity, [N]; the others
-      start from rest.
+    on_reference: whether each robot has the reference's velocity, [N]; the
+      others start from rest.
     random_state: source of the noise.
 
   Returns:
@@ -38,8 +38,8 @@ def initial_state(
   count, joints = len(ids), observations.NUM_JOINTS
   position, orientation, velocity = tracker.start_pose(ids)
   position[:, 2] += lift_of_ground(tracker, terrain, position[:, 0], ids)
-  # Slower than the reference as well: a flight that falls short teaches what
-  # a perfect one, which only a perfect take-off leads to, cannot.
+  # Some robots start slower than the reference: they practise flights that fall
+  # short, which follow an imperfect take-off.
   pace = random_state.uniform(_SLOWEST_START, 1.0, size=count)
   velocity *= (pace * on_reference)[:, None]
   clear = terrain_lib.clearance_height(terrain, position[:, 0], _FOOT_REACH)
@@ -72,7 +72,7 @@ def lift_of_ground(
   x: np.ndarray,
   ids: np.ndarray | slice = slice(None),
 ) -> np.ndarray:
-  """Returns how much higher the ground at `x` is than motions expect it, [N].
+  """Returns ground height less the height that motions expect, metres, [N].
 
   A motion is made for level ground, or for the one ledge that it climbs.
 
@@ -108,7 +108,7 @@ def _leg_joints(
 
 def _tilted(quaternion: np.ndarray, tilt: np.ndarray) -> np.ndarray:
   """Turns orientations [N, 4] by small roll and pitch angles [N, 2]."""
-  from scipy.spatial import transform  # Late: it takes as long as numpy.
+  from scipy.spatial import transform  # Late: scipy imports slowly.
 
   from_quat = transform.Rotation.from_quat
   noise = transform.Rotation.from_rotvec(

@@ -17,7 +17,7 @@ from dmc_multimode.utils import config
 
 
 class RobotState(NamedTuple):
-  """Quantities that errors are measured of, with a leading batch axis.
+  """Robot states that tracking errors are computed from.
 
   Attributes:
     qpos: free joint (world position in metres, quaternion), then the joints in
@@ -41,7 +41,7 @@ Error = Callable[[RobotState, reference_lib.Reference], np.ndarray]
 def position_error(
   robot: RobotState, reference: reference_lib.Reference
 ) -> np.ndarray:
-  """Returns the distances of the bases from their references, metres, [B]."""
+  """Returns the distances of the trunks from their references, metres, [B]."""
   distance = robot.qpos[:, :3] - reference.position
   return np.sqrt(_dot(distance, distance))
 
@@ -51,7 +51,7 @@ def orientation_error(
 ) -> np.ndarray:
   """Returns 1 - <q, q_ref>^2, [B], as in the authors' released code.
 
-  It is the squared sine of half the angle between the two.
+  This is the squared sine of half the angle between the two.
   """
   agreement = _dot(robot.orientation, reference.orientation)
   return 1.0 - np.minimum(agreement**2, 1.0)
@@ -62,7 +62,7 @@ def contact_error(
 ) -> np.ndarray:
   """Returns Euclidean distances of the binary contact states, [B].
 
-  It is 0 where the mode prescribes none.
+  The error is 0 where the mode prescribes no contacts.
   """
   difference = robot.contact - reference.contact
   distance = np.sqrt(_dot(difference, difference))
@@ -96,7 +96,7 @@ def _term(error: Error, weight: float, sensitivity: float) -> Any:
 
 @pydantic_dataclasses.dataclass(frozen=True, config=config.STRICT)
 class RewardGains:
-  """The terms of Eq. 3, one a row: error er, weight w, sensitivity k."""
+  """Gains of Eq. 3, one row a term: error er, weight w, sensitivity k."""
 
   position: Gain = _term(position_error, 0.5, 5.0)  # k in 1/m.
   orientation: Gain = _term(orientation_error, 0.5, 5.0)
@@ -104,11 +104,11 @@ class RewardGains:
 
   @property
   def highest(self) -> float:
-    """The reward of a perfect step: the sum of the weights."""
+    """Largest reward of a step: the sum of the weights."""
     return float(sum(getattr(self, name).weight for name in ERRORS))
 
   def with_weights(self, **weights: float) -> 'RewardGains':
-    """Returns these gains with other weights, by the names of their terms."""
+    """Returns the gains with other weights, given by term."""
     changes = {
       name: dataclasses.replace(getattr(self, name), weight=weight)
       for name, weight in weights.items()

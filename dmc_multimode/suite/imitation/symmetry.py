@@ -3,7 +3,7 @@
 Equal joint angles of the two legs are mirror images of each other (the axes of
 the right leg are those of the left leg mirrored), so that joints and actions
 are merely exchanged. A mode whose reference looks the same half a cycle later
-is mirrored half a cycle out of phase, which is what makes feet alternate.
+is mirrored half a cycle out of phase, so that its feet alternate.
 """
 
 from typing import NamedTuple
@@ -23,8 +23,8 @@ class MirrorImage(NamedTuple):
     action_order, action_signs: of actions, [A].
     mirrored_modes: index of every mode's mirror image, [M].
     clock_signs: -1 for the modes that are mirrored half a cycle later, [M].
-    commands: where latents of modes begin in the observation; they are mirrored
-      by the mode.
+    commands: start indices of latents in the observation; a latent is mirrored
+      to that of the mirrored mode.
   """
 
   observation_order: np.ndarray

@@ -1,9 +1,9 @@
 """Early ends of an imitation episode: pure, with a leading batch axis.
 
 Early termination decides whether moving modes are learned at all. Orientation
-alone pays half of the reward, so that a policy which stands still in every mode
-never meets a bound on the reward; the bound on the distance from the reference
-is what it meets, and in a mode that turns on the spot that on the orientation.
+alone earns half of the reward, so that a policy which stands still never falls
+below a bound on the reward. The bound on the distance from the reference ends
+its episodes, and in a mode that turns on the spot the bound on orientation.
 """
 
 import dataclasses
@@ -12,7 +12,7 @@ import numpy as np
 import pydantic
 from pydantic import dataclasses as pydantic_dataclasses
 
-# By index, which is kept in files.
+# Files hold the indices.
 CAUSES = (
   'none',
   'position_error',
@@ -24,7 +24,7 @@ CAUSES = (
 POSITION_ERROR, LOW_REWARD, BASE_HEIGHT, NON_FINITE, ORIENTATION_ERROR = range(
   1, len(CAUSES)
 )
-# A limit that is not there is infinite.
+# None stands for no limit.
 _STRICT = pydantic.ConfigDict(strict=True, extra='forbid')
 
 
@@ -34,7 +34,7 @@ class TerminationLimits:
 
   Attributes:
     distance: of the base from its reference, metres.
-    reward: lower bound.
+    reward: lower bound of the reward of a step.
     height: lower bound of the trunk centre over its support, metres.
     angle: of the base's orientation from its reference, radians; pi for none.
   """
@@ -49,12 +49,12 @@ class TerminationLimits:
       raise ValueError(f'a limit must be a number, got {self}')
 
 
-# Nothing but a state that is not finite ends an episode with these.
+# With these, only a state that is not finite ends an episode.
 NO_LIMITS = TerminationLimits(np.inf, -np.inf, -np.inf, np.pi)
 
 
 def falls_alone(limits: TerminationLimits) -> TerminationLimits:
-  """Returns limits that forgive a robot everything but to fall."""
+  """Returns limits of which only `height` of `limits` is left: falls."""
   return dataclasses.replace(
     limits, distance=np.inf, reward=-np.inf, angle=np.pi
   )
@@ -69,7 +69,7 @@ def termination_cause(
   limits: TerminationLimits,
   distance_slack: float = 0.0,
 ) -> np.ndarray:
-  """Returns why each world terminates, as an index into `CAUSES`, [B].
+  """Returns the cause of each world's end, an index into `CAUSES`, [B].
 
   Args:
     distance: of the base from its reference, metres, [B].
@@ -78,7 +78,7 @@ def termination_cause(
     height: of the trunk over its support, metres, [B].
     finite: whether the state is finite, [B].
     limits: the bounds.
-    distance_slack: what is added to that on the distance, metres.
+    distance_slack: added to the bound on the distance, metres.
   """
   cause = np.zeros(len(distance), dtype=np.int8)
   # The last assignment wins, so the most telling cause comes last.

@@ -1,8 +1,8 @@
 """Edits of the ground when modes begin: ledges, obstacles, levelling.
 
 A mode such as launch is made for a ledge, a rise of the ground at a distance;
-on adaptive terrain it is put where the mode needs it. In a training some
-commands meet an obstacle besides, see `obstacles`.
+on adaptive terrain the ledge is placed where the mode needs it. In a training
+some commands also meet an obstacle, see `obstacles`.
 """
 
 import numpy as np
@@ -14,14 +14,14 @@ from dmc_multimode.suite.imitation import obstacles
 
 _LEAST_ALONG = 0.5  # Share of the way to a ledge that is along x, at least.
 _STRIDE = 0.45  # Metres ahead of the trunk where a foot may stand already.
-_LANDED = 0.2  # Metres past an edge where no foot is before it any more.
+_LANDED = 0.2  # Metres past an edge at which both feet are past it.
 
 
 class TerrainEvents:
   """Prepares the ground of B worlds for the modes that begin in them.
 
   Attributes:
-    obstacle_share: of the commands that meet an obstacle, in [0, 1].
+    obstacle_share: share of the commands that meet an obstacle, in [0, 1].
   """
 
   def __init__(
@@ -33,14 +33,14 @@ class TerrainEvents:
     obstacle_share: float,
     adaptive: bool,
   ):
-    """Knows what the modes call for.
+    """Keeps the terrain and tracker to edit, and the ledges of the modes.
 
     Args:
       mode_set: the modes.
       terrain: of all worlds; it is edited in place.
-      tracker: of all worlds; it is told which ledges modes climb.
+      tracker: of all worlds; its expected ledges are set.
       edge_noise: half-width of the noise on the place of a ledge, metres.
-      obstacle_share: of the commands that meet an obstacle at first.
+      obstacle_share: initial share of the commands that meet an obstacle.
       adaptive: puts ledges where commanded modes need them; otherwise the
         terrain stays as it is.
     """
@@ -57,13 +57,13 @@ class TerrainEvents:
     x: np.ndarray,
     random_state: np.random.RandomState,
   ) -> np.ndarray:
-    """Puts what the modes that begin in `ids` call for, or are to meet, ahead.
+    """Edits the ground of `ids`: ledges that modes need, and obstacles.
 
     Args:
       ids: worlds, [N].
       modes: the modes that begin, [N].
       x: of their anchors, metres, [N].
-      random_state: of places and obstacles.
+      random_state: source of noise and obstacles.
 
     Returns:
       The worlds whose terrain changed.
@@ -91,7 +91,7 @@ class TerrainEvents:
   def _level_behind(
     self, ids: np.ndarray, modes: np.ndarray, x: np.ndarray
   ) -> np.ndarray:
-    """Takes away the ledge behind those whose modes go backwards.
+    """Levels the ground behind robots whose modes go backwards.
 
     Returns:
       The worlds whose terrain changed.
@@ -113,7 +113,7 @@ class TerrainEvents:
     x: np.ndarray,
     random_state: np.random.RandomState,
   ) -> np.ndarray:
-    """Puts the ledges that `modes` call for where their references need them.
+    """Places the ledges of `modes` where their references have them.
 
     Returns:
       The worlds whose terrain changed.
@@ -147,7 +147,7 @@ class TerrainEvents:
     x: np.ndarray,
     random_state: np.random.RandomState,
   ) -> np.ndarray:
-    """Puts obstacles ahead of some of `ids`, and level ground of the others.
+    """Places obstacles ahead of some of `ids`, level ground ahead of others.
 
     Returns:
       The worlds whose terrain changed.

@@ -1,4 +1,4 @@
-"""Reaching a place by mode commands, as an environment: anyone may plan.
+"""The reaching problem as an environment, for planners of any kind.
 
     env = suite.load('multimode_biped', 'reach_gap')
     timestep = env.reset()
@@ -27,10 +27,10 @@ _NEEDED = ('mode_set', 'config', 'select_action')
 def load_policy(
   policy: str | os.PathLike[str] | reaching.Policy,
 ) -> reaching.Policy:
-  """Returns a policy that is named, or checks one that is given.
+  """Returns the policy of a name or folder, or checks a policy object.
 
   Args:
-    policy: name of a shipped one, a folder, or what acts like one.
+    policy: name of a shipped policy, a folder, or a policy object.
 
   Raises:
     FileNotFoundError: there is no such policy; the message lists those there
@@ -39,9 +39,8 @@ def load_policy(
     ValueError: the policy's files are damaged.
   """
   if isinstance(policy, (str, os.PathLike)):
-    # The one arrow from the suite up to trained policies, which know the suite:
-    # an environment that is to work by its name alone must find its policy. It
-    # is drawn late, so that to load the suite needs neither them nor torch.
+    # The only import of trained policies in the suite: an environment loaded by
+    # name has to find its policy. It is late: loading the suite needs no torch.
     from dmc_multimode import pretrained
 
     return pretrained.load(policy)
@@ -66,7 +65,7 @@ class ReachingEnvironment(dm_env.Environment):
 
     goal [3]: from the trunk to the goal, world frame, metres
     clock [2]: sine and cosine of 2 pi times the running mode's phase
-    height [1]: of the trunk over the support plane under it, metres
+    height [1]: of the trunk over its support plane, metres
     orientation [4]: quaternion (w, x, y, z) of the trunk, w >= 0, relative to
       the commanded heading, which is the world's unless a mode turns
     joints_pos [10]: radians
@@ -94,12 +93,12 @@ class ReachingEnvironment(dm_env.Environment):
       environment: of an `Imitation` task made for `policy`, whose schedule
         holds one command and whose episodes no time limit ends.
       policy: turns commands into motion.
-      problem: what is asked on a terrain (a batch of one). All knots last
-        equally long; their number and the goal may differ from episode to
-        episode. The seeds in it are not used.
+      problem: returns the problem on a terrain (a batch of one). Its knot
+        duration must not vary; the number of knots and the goal may, from
+        episode to episode. Its seed is not used.
 
     Raises:
-      ValueError: a knot is no whole number of control steps, or the goal is not
+      ValueError: a knot is not a whole number of control steps, or the goal not
         over the track.
     """
     self._environment, self._policy = environment, policy
@@ -112,7 +111,7 @@ class ReachingEnvironment(dm_env.Environment):
     self._knot, self._over = 0, True
 
   def _pose_problem(self) -> None:
-    """Asks what is asked on the terrain that stands now."""
+    """Builds the goal and knots for the current terrain."""
     self._config = self._problem(self._terrain)
     reaching.check_goal(self._config.goal, self._terrain)
 
@@ -122,7 +121,7 @@ class ReachingEnvironment(dm_env.Environment):
 
   @property
   def inner(self) -> composer.Environment:
-    """The environment of the control steps; a video hooks into it."""
+    """Environment of the control steps, for videos."""
     return self._environment
 
   @property
@@ -147,7 +146,7 @@ class ReachingEnvironment(dm_env.Environment):
 
   @property
   def goal(self) -> np.ndarray:
-    """Of the trunk in the episode that `reset` began, world metres, [3]."""
+    """Goal of the trunk in this episode, world metres, [3]."""
     return np.array(self._config.goal)
 
   @property
@@ -162,7 +161,7 @@ class ReachingEnvironment(dm_env.Environment):
     return bool(reaching.reached(qpos, self._terrain, self.goal)[0])
 
   def control_timestep(self) -> float:
-    """Seconds of a knot."""
+    """Duration of a knot, seconds."""
     return self._config.knot_duration
 
   def action_spec(self) -> specs.DiscreteArray:
@@ -194,7 +193,7 @@ class ReachingEnvironment(dm_env.Environment):
       action: index of the mode.
 
     Raises:
-      ValueError: that is none.
+      ValueError: the index is out of range.
     """
     if self._over:
       return self.reset()
@@ -231,7 +230,7 @@ class ReachingEnvironment(dm_env.Environment):
     return reward, timestep
 
   def _observe(self) -> dict[str, np.ndarray]:
-    """Returns copies: what the policy sees, but the mode for its latent."""
+    """Returns copies of the policy's parts, and the mode, knots and ground."""
     parts = self._task.observation
     parts.pop('command')
     position = self.physics.data.qpos[:3]

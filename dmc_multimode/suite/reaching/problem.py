@@ -21,16 +21,16 @@ from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import constants
 
-_NEAR_X, _NEAR_Z = 0.3, 0.12  # Metres from the goal that count as there.
+_NEAR_X, _NEAR_Z = 0.3, 0.12  # Metres: bounds of reached.
 _UPRIGHT = 0.7  # Cosine of the trunk's tilt.
 
 RANDOM_TRACK = 'parkour'
 _BEYOND = 0.4  # Metres behind the last edge of a random track: the goal.
-_SPEED = 0.3  # m/s at least that time is left for.
+_SPEED = 0.3  # Least speed along the track that the knots suffice for, m/s.
 _RANDOM_KNOT = 0.15  # Seconds.
 
-AHEAD = tuple(0.05 * i for i in range(1, 31))  # Metres at which ground is seen.
-GAP = -1.0  # Metres: what `ground_ahead` says where nothing is.
+AHEAD = tuple(0.05 * i for i in range(1, 31))  # Metres ahead.
+GAP = -1.0  # Metres: value of `ground_ahead` over a gap.
 
 
 class Policy(Protocol):
@@ -38,25 +38,25 @@ class Policy(Protocol):
 
   @property
   def mode_set(self) -> mode_set_lib.ModeSet:
-    """The modes that it knows."""
+    """Modes of the policy."""
 
   @property
   def config(self) -> config_lib.ImitationConfig:
-    """The task that it was trained for."""
+    """Task that it was trained for."""
 
   def select_action(self, observations: np.ndarray) -> np.ndarray:
-    """Joint targets [B, 10] for observations [B, D], without exploration."""
+    """Returns mean joint targets [B, 10] for observations [B, D]."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ReachingConfig:
-  """Goal of a plan, and the knots that it is cut into.
+  """Reaching problem: the goal and the knots of its plan.
 
   Attributes:
     goal: of the trunk in the world, metres (x, y, z).
-    knots: of the plan.
+    knots: number of mode commands in the plan.
     knot_duration: seconds from knot to knot.
-    seed: of the terrain and of the initial state's noise.
+    seed: of the terrain and the noise of the initial state.
   """
 
   goal: tuple[float, float, float] = (2.0, 0.0, 0.5)
@@ -82,9 +82,9 @@ class Problem(NamedTuple):
 
   Attributes:
     goal: of the trunk, metres.
-    knots: of a plan.
+    knots: number of mode commands in a plan.
     knot_duration: seconds from knot to knot.
-    paper_seconds: that the paper's planner took for it.
+    paper_seconds: time of the paper's planner, seconds.
   """
 
   goal: tuple[float, float, float]
@@ -93,7 +93,7 @@ class Problem(NamedTuple):
   paper_seconds: float
 
   def config(self, seed: int) -> ReachingConfig:
-    """Returns the problem with that start."""
+    """Returns this problem's `ReachingConfig` with `seed`."""
     return ReachingConfig(self.goal, self.knots, self.knot_duration, seed)
 
 
@@ -110,17 +110,17 @@ TRACKS = (*PROBLEMS, RANDOM_TRACK)
 def problem(
   track: str, terrain: terrain_lib.Terrain, seed: int = 0
 ) -> ReachingConfig:
-  """Returns what is asked on a track: the paper's problem, or to cross it.
+  """Returns the paper's problem of a track, or else that of crossing it.
 
   Args:
     track: its name.
     terrain: a batch of one, as the track drew it.
-    seed: that it was drawn with.
+    seed: of the draw of the terrain.
   """
   if track in PROBLEMS:
     return PROBLEMS[track].config(seed)
   last = np.flatnonzero(np.isfinite(terrain.starts[0]))[-1]
-  if not last:  # Nothing to cross.
+  if not last:  # Level ground has no edge to cross.
     return ReachingConfig(seed=seed)
   x = float(terrain.starts[0, last]) + _BEYOND
   z = float(terrain.tops[0, last]) + constants.STAND_HEIGHT
@@ -130,14 +130,14 @@ def problem(
 
 
 def random_problem(seed: int) -> ReachingConfig:
-  """Returns how to cross the random track that is drawn with a seed."""
+  """Returns the problem of crossing the random track of a seed."""
   track = track_lib.make(RANDOM_TRACK)
   terrain = track.generate(np.random.RandomState(seed))
   return problem(RANDOM_TRACK, terrain, seed)
 
 
 def within(config: ReachingConfig, time_limit: float | None) -> ReachingConfig:
-  """Returns the problem with as many knots as fit into a time.
+  """Returns the problem with the knots that fit into a time.
 
   Args:
     config: the problem.
@@ -160,7 +160,7 @@ def within(config: ReachingConfig, time_limit: float | None) -> ReachingConfig:
 def task_config(
   policy: Policy, reaching: ReachingConfig
 ) -> config_lib.ImitationConfig:
-  """Returns the policy's task without a reference to be lost."""
+  """Returns the task with tracking limits off: only falls terminate."""
   task = policy.config
   duration = reaching.knots * reaching.knot_duration
   return dataclasses.replace(
@@ -172,10 +172,10 @@ def task_config(
 
 
 def knot_steps(reaching: ReachingConfig, control_timestep: float) -> int:
-  """Returns the control steps of a knot.
+  """Returns the number of control steps in a knot.
 
   Raises:
-    ValueError: that is no whole number.
+    ValueError: the number is not whole.
   """
   duration = reaching.knot_duration
   steps = round(duration / control_timestep)
@@ -223,7 +223,7 @@ def rewards(position: np.ndarray, goal: np.ndarray) -> np.ndarray:
 def reached(
   qpos: np.ndarray, terrain: terrain_lib.Terrain, goal: np.ndarray
 ) -> np.ndarray:
-  """Returns who stands at the goal, or past it on the same support, [B].
+  """Returns whether robots are upright at or past the goal, [B].
 
   Args:
     qpos: generalised positions, [B, 17].

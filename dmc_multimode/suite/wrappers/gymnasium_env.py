@@ -34,7 +34,7 @@ _VECTOR_ENTRY_POINT = (
 )
 NAMESPACE = 'dmc_multimode'
 _VERSION = 0
-SEEDS = 2**32  # As many as a RandomState takes.
+SEEDS = 2**32  # Seeds of a RandomState.
 
 
 class GymnasiumEnv(gymnasium.Env[np.ndarray, Any]):
@@ -55,7 +55,7 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, Any]):
     height: int = 480,
     camera: str = 'walker/side',
   ):
-    """Wraps an environment, which belongs to this one from here on.
+    """Wraps an environment and takes ownership of it.
 
     Args:
       environment: as `suite.load` returns it, of a task of ours.
@@ -96,8 +96,8 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, Any]):
     """
     super().reset(seed=seed, options=options)
     if seed is not None:
-      # Ends the running episode: what it teaches the sampler must not outlast
-      # the seeding.
+      # Ends the running episode first: its update of the sampler must come
+      # before the sampler is reset.
       self._environment.reset()
       self._task.episodes.restore(self._episodes)
       self._environment.random_state.seed(self.np_random.integers(SEEDS))

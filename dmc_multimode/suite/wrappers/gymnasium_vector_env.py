@@ -20,8 +20,8 @@ class BatchedVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
   """The worlds of one `BatchedImitation` behind Gymnasium's vector interface.
 
   Observations are float32 [B, D], actions joint targets in radians, float32
-  [B, 10]. A world that ends begins anew in the same step; what it saw last is
-  `final_obs` of the infos.
+  [B, 10]. A world whose episode ends is reset in the same step; its last
+  observation is `final_obs` of the infos.
   """
 
   metadata: dict[str, Any] = {
@@ -36,12 +36,12 @@ class BatchedVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
       num_envs: B.
 
     Raises:
-      ValueError: B is not positive.
+      ValueError: `num_envs` is not positive.
     """
     if num_envs < 1:
       raise ValueError(f'num_envs must be positive, got {num_envs}.')
     self.num_envs = num_envs
-    # The worlds draw from it, and `reset` seeds it.
+    # The worlds draw from this generator, and `reset` seeds it.
     self._random_state = np.random.RandomState()
     self._worlds = batched_env.BatchedImitation(
       task, num_envs, self._random_state
@@ -79,7 +79,7 @@ class BatchedVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     """Applies actions of `action_space`; see `gymnasium.vector.VectorEnv`.
 
     Raises:
-      gymnasium.error.ResetNeeded: nothing has begun.
+      gymnasium.error.ResetNeeded: `reset` has not been called.
     """
     if not self._begun:
       raise gymnasium.error.ResetNeeded('Call reset() to begin episodes.')

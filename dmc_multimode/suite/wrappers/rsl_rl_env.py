@@ -26,7 +26,7 @@ except ModuleNotFoundError as error:
     name=error.name,
   ) from None
 
-POLICY = 'policy'  # What the policy observes, float32 [B, D].
+POLICY = 'policy'  # The policy's observations, float32 [B, D].
 PRIVILEGED = 'privileged'  # For the value function alone, float32 [B, P].
 
 
@@ -42,8 +42,8 @@ class RslRlVecEnv(rsl_rl_env.VecEnv):
     num_actions: joints, A.
     max_episode_length: control steps to the time limit.
     episode_length_buf: control steps of the running episodes, int64 [B]. A
-      runner may overwrite it (`init_at_random_ep_len`); the episodes end when
-      they end all the same.
+      runner may overwrite it (`init_at_random_ep_len`); this does not change
+      when episodes end.
     device: where the tensors are.
     cfg: empty.
   """
@@ -51,11 +51,11 @@ class RslRlVecEnv(rsl_rl_env.VecEnv):
   def __init__(
     self, environment: batched_env.BatchedImitation, reward_scale: float = 1.0
   ):
-    """Resets an environment, which belongs to this one from here on.
+    """Resets an environment and takes ownership of it.
 
     Args:
-      environment: B worlds with `auto_reset`. All randomness is of the seed
-        that it was made with.
+      environment: B worlds with `auto_reset`. Its seed determines all
+        randomness.
       reward_scale: factor of the rewards.
     """
     self._environment, self._scale = environment, reward_scale

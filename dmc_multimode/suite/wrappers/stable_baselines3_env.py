@@ -40,7 +40,7 @@ class StableBaselines3VecEnv(vec_env.VecEnv):
   def __init__(
     self, environment: batched_env.BatchedImitation, reward_scale: float = 1.0
   ):
-    """Adapts an environment, which belongs to this one from here on.
+    """Wraps an environment and takes ownership of it.
 
     Args:
       environment: B worlds with `auto_reset`.
@@ -93,7 +93,7 @@ class StableBaselines3VecEnv(vec_env.VecEnv):
     return step.observation[:, : self._size], rewards, step.last, infos
 
   def close(self) -> None:
-    """Does nothing: there is nothing to end."""
+    """Does nothing: there are no processes to end."""
 
   def get_attr(self, attr_name: str, indices: _Indices = None) -> list[Any]:
     """Returns `render_mode`, None in each of the worlds `indices`.
