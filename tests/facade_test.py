@@ -188,3 +188,17 @@ def test_train_makes_what_the_command_makes(tmp_path: pathlib.Path) -> None:
     for name, weight in saved.network.state_dict().items():
       np.testing.assert_array_equal(weight, weights[name])
     assert saved.provenance['steps'] == policy.provenance['steps'] == 16
+
+
+def test_train_takes_motions_of_ones_own(tmp_path: pathlib.Path) -> None:
+  walk = library.modes()['walk_forward']
+  slow = dataclasses.replace(
+    walk, name='slow_walk', mirror='', duration=2 * walk.duration
+  )
+  policy = dmm.train(
+    tmp_path, modes=['idle', slow], steps=8, one_hot=True, num_worlds=2
+  )
+  assert policy.mode_set.names == ('idle', 'slow_walk')
+  assert policy.mode_set.motions[1].duration == 2 * walk.duration
+  with pytest.raises(ValueError, match='already holds a run'):
+    dmm.train(tmp_path, modes=policy.mode_set, steps=8)

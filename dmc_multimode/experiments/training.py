@@ -34,13 +34,14 @@ from dmc_multimode.utils import config as config_lib
 
 Path = str | os.PathLike[str]
 Motions = tuple[motion_lib.ReferenceMotion, ...]
+Modes = str | mode_set_lib.ModeSet | Sequence[str | motion_lib.ReferenceMotion]
 
 STEPS = runner.TrainingConfig().steps
 
 
 def train(
   run_dir: Path,
-  modes: str | Sequence[str] | None = None,
+  modes: Modes | None = None,
   steps: int = STEPS,
   *,
   resume: bool = False,
@@ -58,8 +59,9 @@ def train(
 
   Args:
     run_dir: folder of the run; see `run_folder`.
-    modes: name of a mode set, or of modes; by default those of `quickstart`, or
-      with `init_from` those of the policy and of `mode_file`.
+    modes: name of a mode set, names of modes, or motions of one's own, whose
+      latents an encoder makes; by default those of `quickstart`, or with
+      `init_from` those of the policy and of `mode_file`.
     steps: environment steps, summed over all worlds, in all.
     resume: goes on with the run that is there, as if nothing had happened.
     init_from: a policy to begin with, shipped or a folder; its task and network
@@ -89,9 +91,11 @@ def train(
     length = runner.TrainingConfig(steps, minutes, keep_every=keep_every)
   except pydantic.ValidationError as error:
     raise ValueError(config_lib.describe(error)) from error
+  names, motions = _named(modes)
   request = _Request(
     run_folder.RunFolder(run_dir),
-    modes if modes is None or isinstance(modes, str) else ','.join(modes),
+    names,
+    motions,
     steps,
     None if init_from is None else os.fspath(init_from),
     mode_file,
@@ -104,12 +108,24 @@ def train(
   return _run(run, request.folder, length, wandb_project, communicator)
 
 
+def _named(modes: Modes | None) -> tuple[str | None, Motions]:
+  """Returns names, comma-separated, and those that are motions of one's own."""
+  if modes is None or isinstance(modes, str):
+    return modes, ()
+  if isinstance(modes, mode_set_lib.ModeSet):
+    modes = modes.motions
+  names = [mode if isinstance(mode, str) else mode.name for mode in modes]
+  own = (mode for mode in modes if isinstance(mode, motion_lib.ReferenceMotion))
+  return ','.join(names), tuple(own)
+
+
 @dataclasses.dataclass(frozen=True)
 class _Request:
   """What was asked for; see `train`."""
 
   folder: run_folder.RunFolder
   modes: str | None
+  motions: Motions
   steps: int
   init_from: str | None
   mode_file: Path | None
@@ -120,7 +136,9 @@ class _Request:
     self, start: fine_tuning.Start | None
   ) -> tuple[run_config.RunConfig, Motions]:
     """Returns configuration and modes of a new run."""
-    extra = mode_files.load(self.mode_file) if self.mode_file else ()
+    extra = self.motions
+    if self.mode_file:
+      extra = (*extra, *mode_files.load(self.mode_file))
     threads = {'threads': distributed.local_cores()}
     if start:
       motions = start.modes(self.modes, extra)
