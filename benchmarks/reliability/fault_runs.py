@@ -160,7 +160,7 @@ class Run:
     self.case, self.random = case, random.Random(seed + case)
     self.reference: Reference | None = None
     self._lasting, self._journal = lasting, work / 'journal'
-    self._done, self._saved = 0, 0  # Control steps; by whole checkpoints.
+    self.done, self._saved = 0, 0  # Control steps; by whole checkpoints.
     self._began = 0.0
     self._process: process_lib.BaseProcess | None = None
 
@@ -197,7 +197,7 @@ class Run:
     """Waits for those control steps and a checkpoint, or the end."""
     while self.is_running():
       found = _Journal(self._journal)
-      if found.saved and max(found.states) >= steps:
+      if found.saved and max(found.states, default=0) >= steps:
         return
 
   def wait(self) -> Done:
@@ -219,13 +219,13 @@ class Run:
     if found.states:
       resumed = min(found.states) - STEPS
       row.checkpoints_lost += resumed < self._saved
-      row.most_lost = max(row.most_lost, (self._done - resumed) // STEPS)
-      self._done = max(found.states)
+      row.most_lost = max(row.most_lost, (self.done - resumed) // STEPS)
+      self.done = max(found.states)
       self._saved = max([resumed, *found.saved])
 
   def forget(self) -> None:
     """Expects that nothing is left of it."""
-    self._done = self._saved = 0
+    self.done = self._saved = 0
 
   def finish(self) -> None:
     """Resumes it to its end, where it must be what it would have been."""

@@ -71,7 +71,13 @@ def _killed(run: Run) -> Iterator[None]:
   """Kills at a random moment."""
   assert run.reference
   run.start()
-  if run.is_running(run.random.uniform(0, 0.5 * run.reference.seconds)):
+  if run.random.random() < 0.3:  # Maybe before there is a checkpoint.
+    run.is_running(run.random.uniform(0, 0.3 * run.reference.seconds))
+  else:
+    further = run.random.randrange(fault_runs.ITERATIONS // 4)
+    run.wait_until(run.done + further * fault_runs.STEPS)
+    run.is_running(run.random.uniform(0, 0.02))
+  if run.is_running():
     run.send(signal.SIGKILL)
   yield
 
