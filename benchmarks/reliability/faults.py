@@ -70,7 +70,7 @@ def _start(run: Run, hooks: fault_runs.Hooks | None = None) -> Iterator[None]:
 def _killed(run: Run) -> Iterator[None]:
   """Kills at a random moment."""
   assert run.reference
-  run.start()
+  run.start({'slow': {'seconds': 0.05}})  # Or all is over before we strike.
   if run.random.random() < 0.3:  # Maybe before there is a checkpoint.
     run.is_running(run.random.uniform(0, 0.3 * run.reference.seconds))
   else:
