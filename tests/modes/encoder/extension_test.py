@@ -48,7 +48,7 @@ def extended(
   return extension.extend(base, _held(base), [_bob()])
 
 
-def test_old_latents_stay_to_the_bit(
+def test_old_latents_stay_to_the_bit_and_the_new_mode_is_told_apart(
   base: mode_encoder.ModeEncoder,
   extended: tuple[mode_encoder.ModeEncoder, mode_set_lib.ModeSet],
 ) -> None:
@@ -59,13 +59,6 @@ def test_old_latents_stay_to_the_bit(
   np.testing.assert_allclose(trained.encode(_OLD), modes.latents[:2], atol=0.01)
   np.testing.assert_array_equal(trained.encode([_bob()]), modes.latents[2:])
   assert [motion.name for motion in trained.motions] == list(modes.names)
-
-
-def test_new_mode_is_told_apart_and_reconstructed(
-  base: mode_encoder.ModeEncoder,
-  extended: tuple[mode_encoder.ModeEncoder, mode_set_lib.ModeSet],
-) -> None:
-  trained, modes = extended
   assert modes.codebook.separation() > _ROUGH.min_separation
   assert trained.rmse()['bob'] < _ROUGH.max_rmse
   # By itself the old encoder would not do.
@@ -83,6 +76,11 @@ def test_base_stays_as_it_is(base: mode_encoder.ModeEncoder) -> None:
     assert torch.equal(value, before[key]), key
   assert torch.equal(torch.get_rng_state(), state)
   assert not any(p.requires_grad for p in base.network.parameters())
+  # Nothing new is nothing to train.
+  trained, modes = extension.extend(base, _held(base).subset(['idle']), [])
+  assert trained.network is base.network
+  assert modes.names == ('idle',)
+  np.testing.assert_array_equal(modes.latents, base.codebook().latents[:1])
 
 
 def test_extended_again(
@@ -98,35 +96,17 @@ def test_extended_again(
   assert distances[3, :3].min() > 0.3 * distances.mean()
 
 
-def test_nothing_new_is_nothing_to_train(
-  base: mode_encoder.ModeEncoder,
-) -> None:
-  trained, modes = extension.extend(base, _held(base).subset(['idle']), [])
-  assert trained.network is base.network
-  assert modes.names == ('idle',)
-  np.testing.assert_array_equal(modes.latents, base.codebook().latents[:1])
-
-
-def test_encoder_of_other_latents(base: mode_encoder.ModeEncoder) -> None:
+def test_rejects(base: mode_encoder.ModeEncoder) -> None:
   book = base.codebook()
   other = codebook_lib.Codebook(book.names, book.latents + 0.05)
   longer = codebook_lib.Codebook(book.names, np.eye(2, 5))
   for wrong in (other, longer):
     with pytest.raises(ValueError, match='not the one that the latents'):
       extension.extend(base, mode_set_lib.ModeSet(_OLD, wrong), [_bob()])
-
-
-def test_motion_that_is_known_by_another_name(
-  base: mode_encoder.ModeEncoder,
-) -> None:
+  # A motion that is known by another name.
   twin = dataclasses.replace(_OLD[0], name='stay', mirror='stay')
   with pytest.raises(ValueError, match="'idle' and 'stay' .* from scratch"):
     extension.extend(base, _held(base), [twin])
-
-
-def test_what_is_not_learned_in_time(
-  base: mode_encoder.ModeEncoder,
-) -> None:
   hasty = dataclasses.replace(
     base, config=dataclasses.replace(base.config, max_epochs=1)
   )
