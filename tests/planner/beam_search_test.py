@@ -207,28 +207,6 @@ def test_exploration_lasts(time: float, stays: float) -> None:
   assert (tables.act(0, 0.0, state) == 1).all()
 
 
-@pytest.mark.parametrize(
-  ('config', 'changes', 'message'),
-  [
-    (beam_search.BeamConfig, {'beams': 0}, 'beams'),
-    (beam_search.BeamConfig, {'attempts': 0}, 'attempts'),
-    (q_learning.QLearningConfig, {'episodes': -1}, 'episodes'),
-    (q_learning.QLearningConfig, {'learning_rate': 0.0}, 'learning_rate'),
-    (q_learning.QLearningConfig, {'discount': 1.1}, 'discount'),
-    (
-      q_learning.QLearningConfig,
-      {'exploration_time': -1.0},
-      'exploration_time',
-    ),
-  ],
-)
-def test_configs_reject(
-  config: Any, changes: dict[str, Any], message: str
-) -> None:
-  with pytest.raises(ValueError, match=message):
-    config(**changes)
-
-
 def test_planners_reject_other_numbers_of_worlds() -> None:
   toy: Any = _Toy(7)
   with pytest.raises(ValueError, match='6 worlds, the problem has 7'):

@@ -93,41 +93,30 @@ def test_a_result_is_kept(tmp_path: pathlib.Path) -> None:
     ({'dt': 0.0}, 'longer than 0'),
     ({'dt': math.nan}, 'not a finite number'),
     ({'dt': '0.3'}, 'not seconds'),
-    ({'dt': True}, 'not seconds'),
     ({'arena': 3}, 'for which arena'),
     ({'sizes': {'width': 'wide'}}, 'for which arena'),
-    ({'sizes': [0.3]}, 'for which arena'),
     ({'seed': -1}, 'for which arena'),
-    ({'seed': None}, 'for which arena'),
     ({'pushes': [{**_PUSH, 'time': 0.7}]}, 'not at a knot'),
-    ({'pushes': [{**_PUSH, 'time': 1.2}]}, 'outside of the plan'),
     ({'pushes': None}, 'no pushes: None'),
+    *(({key: ...}, f"lacks '{key}'") for key in ('plan', 'knots', 'dt')),
   ],
 )
 def test_rejects(
   changes: dict[str, Any], message: str, tmp_path: pathlib.Path
 ) -> None:
   path = tmp_path / 'plan.json'
-  path.write_text(json.dumps({**_VALUES, **changes}))
+  values = {**_VALUES, **changes}
+  kept = {key: value for key, value in values.items() if value is not ...}
+  path.write_text(json.dumps(kept))
   with pytest.raises(ValueError, match=rf'plan\.json.*{message}'):
     plan_lib.PlanFile.read(path)
 
 
-@pytest.mark.parametrize('key', ['plan', 'knots', 'dt'])
-def test_lacks(key: str) -> None:
-  values = {name: _VALUES[name] for name in _VALUES if name != key}
-  with pytest.raises(ValueError, match=f"lacks '{key}'"):
-    plan_lib.PlanFile.from_dict(values)
-
-
-@pytest.mark.parametrize('text', ['', '[]', '3', '{', '[' * 100_000, '\0'])
-def test_damaged_file(text: str, tmp_path: pathlib.Path) -> None:
+def test_no_plan(tmp_path: pathlib.Path) -> None:
   path = tmp_path / 'plan.json'
-  path.write_text(text)
-  with pytest.raises(ValueError, match=r'plan\.json'):
+  with pytest.raises(FileNotFoundError, match=r'no plan .*plan\.json'):
     plan_lib.PlanFile.read(path)
-
-
-def test_missing_file(tmp_path: pathlib.Path) -> None:
-  with pytest.raises(FileNotFoundError, match=r'no plan .*none\.json'):
-    plan_lib.PlanFile.read(tmp_path / 'none.json')
+  for text in ('', '[]', '{', '[' * 100_000, '\0'):
+    path.write_text(text)
+    with pytest.raises(ValueError, match=r'plan\.json'):
+      plan_lib.PlanFile.read(path)

@@ -19,17 +19,9 @@ _SOME = (
 def test_parse() -> None:
   assert pushes.parse('0.6:-0.5') == pushes.Push(0.6, (-0.5, 0.0, 0.0))
   assert pushes.parse('1:0.5:2') == pushes.Push(1.0, (0.5, 2.0, 0.0))
-
-
-@pytest.mark.parametrize(
-  'text', ['', '1', '1:', 'x:1', '1:2:3:4', '1:nan', 'inf:1', '1:1e300']
-)
-def test_parse_rejects(text: str) -> None:
-  with pytest.raises(ValueError, match=f"'{text}' is no push"):
-    pushes.parse(text)
-
-
-def test_round_trip() -> None:
+  for text in ('', '1', '1:', 'x:1', '1:2:3:4', '1:nan', 'inf:1', '1:1e300'):
+    with pytest.raises(ValueError, match=f"'{text}' is no push"):
+      pushes.parse(text)
   values = json.loads(json.dumps(pushes.to_list(_SOME)))
   assert pushes.from_list(values) == _SOME
   assert pushes.from_list([]) == ()

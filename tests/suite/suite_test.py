@@ -156,7 +156,7 @@ def test_single_mode_is_commanded(mode: str) -> None:
 
 def test_only_pi3_is_paid_for_contacts() -> None:
   weights = {
-    name: _load(name).task.config.gains.contact_weight
+    name: _load(name).task.config.gains.contact.weight
     for name in ('idle', 'pi1', 'pi2', 'pi3')
   }
   assert weights == ({'idle': 0.0, 'pi1': 0.0, 'pi2': 0.0, 'pi3': 0.3})

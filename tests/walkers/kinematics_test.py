@@ -53,29 +53,18 @@ def _sole(data: mujoco.MjData, side: str) -> np.ndarray:
   return foot.xpos + corners.T
 
 
-@pytest.mark.parametrize('height', _HEIGHTS)
-def test_soles_are_flat_on_the_ground(height: float) -> None:
-  data = _standing(height)
-  for side in mini_biped.SIDES:
-    np.testing.assert_allclose(_sole(data, side)[:, 2], 0.0, atol=1e-3)
-    # Flat, more exactly than the sole's place is rounded in the XML.
-    assert np.ptp(_sole(data, side)[:, 2]) < 1e-6
-
-
-@pytest.mark.parametrize('height', _HEIGHTS)
-def test_soles_stay_under_the_hips(height: float) -> None:
-  crouch, data = _standing(constants.STAND_HEIGHT), _standing(height)
-  for side in mini_biped.SIDES:
-    np.testing.assert_allclose(
-      _sole(data, side)[:, :2], _sole(crouch, side)[:, :2], atol=1e-6
-    )
-
-
 @pytest.mark.parametrize('climb', (-0.8, 0.7))
 @pytest.mark.parametrize('height', _HEIGHTS)
-def test_feet_rest_while_the_trunk_moves(height: float, climb: float) -> None:
+def test_feet_rest_under_the_hips(height: float, climb: float) -> None:
+  """Flat on the ground, while the trunk moves."""
   data, velocity = _standing(height, climb), np.zeros(6)
+  crouch = _standing(constants.STAND_HEIGHT)
   for side in mini_biped.SIDES:
+    sole, under = _sole(data, side), _sole(crouch, side)
+    np.testing.assert_allclose(sole[:, 2], 0.0, atol=1e-3)
+    np.testing.assert_allclose(sole[:, :2], under[:, :2], atol=1e-6)
+    # Flat, more exactly than the sole's place is rounded in the XML.
+    assert np.ptp(sole[:, 2]) < 1e-6
     foot = _model().geom(f'walker/{side}_foot').id
     mujoco.mj_objectVelocity(
       _model(), data, mujoco.mjtObj.mjOBJ_GEOM, foot, velocity, 0
@@ -84,12 +73,18 @@ def test_feet_rest_while_the_trunk_moves(height: float, climb: float) -> None:
     np.testing.assert_allclose(velocity, np.zeros(6), atol=1e-5)
 
 
-def test_crouch_is_zero() -> None:
-  angles, rates = _standing_joints(
-    np.array([constants.STAND_HEIGHT]), np.zeros(1)
-  )
-  np.testing.assert_allclose(angles, np.zeros((1, 10)), atol=1e-12)
-  np.testing.assert_array_equal(rates, np.zeros((1, 10)))
+def test_crouch_is_zero_and_far_is_cut_to_what_legs_can_do() -> None:
+  heights = np.array([constants.STAND_HEIGHT, 0.0, 2.0])
+  angles, rates = _standing_joints(heights, np.array([0.0, 0.5, 0.5]))
+  np.testing.assert_allclose(angles[0], np.zeros(10), atol=1e-12)
+  np.testing.assert_array_equal(rates[0], np.zeros(10))
+  bounds = np.array([kinematics.LOWEST, kinematics.HIGHEST])
+  expected = _standing_joints(bounds, np.array([0.5, 0.5]))
+  np.testing.assert_array_equal((angles[1:], rates[1:]), expected)
+  assert np.isfinite(expected).all()
+  row = lambda value: np.full((1, 2), value)
+  far = kinematics.placing(row(0.4), row(0.6), row(0.2), row(0.2))
+  assert np.isfinite(far).all()
 
 
 def test_legs_are_alike_and_joints_within_their_ranges() -> None:
@@ -104,17 +99,6 @@ def test_legs_are_alike_and_joints_within_their_ranges() -> None:
     assert joint.limited[0], name
     assert angles[:, i].min() >= joint.range[0], name
     assert angles[:, i].max() <= joint.range[1], name
-
-
-@pytest.mark.parametrize(
-  ('height', 'bound'), [(0.0, kinematics.LOWEST), (2.0, kinematics.HIGHEST)]
-)
-def test_height_is_cut_to_what_legs_can_do(height: float, bound: float) -> None:
-  climb = np.array([0.5])
-  found = _standing_joints(np.array([height]), climb)
-  expected = _standing_joints(np.array([bound]), climb)
-  np.testing.assert_array_equal(found, expected)
-  assert np.isfinite(found).all()
 
 
 def test_every_row_by_itself() -> None:
@@ -158,12 +142,6 @@ def test_soles_are_where_they_should_be(
     )
     np.testing.assert_allclose(velocity[:3], np.zeros(3), atol=1e-5)
     np.testing.assert_allclose(velocity[3:], moved, atol=1e-5)
-
-
-def test_reach_is_cut_to_what_legs_can_do() -> None:
-  row = lambda value: np.full((1, 2), value)
-  far = kinematics.placing(row(0.4), row(0.6), row(0.2), row(0.2))
-  assert np.isfinite(far).all()
 
 
 class TestStepping:

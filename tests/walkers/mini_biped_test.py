@@ -1,6 +1,6 @@
 """Tests of dmc_multimode.walkers.mini_biped and of xml/mini_biped.xml."""
 
-from typing import Any
+from typing import Any, Callable
 
 from dm_control import composer
 from dm_control.composer.variation import distributions
@@ -82,32 +82,17 @@ def _settle(
   return data
 
 
-def _standing(model: mujoco.MjModel) -> mujoco.MjData:
-  """Zero joint angles at the nominal height."""
-  data = mujoco.MjData(model)
-  data.qpos[2] = _STAND_HEIGHT
-  mujoco.mj_forward(model, data)
-  return data
-
-
-def test_mass() -> None:
-  model = _model()
-  mass = model.body('walker/trunk').subtreemass[0]
-  assert mass == pytest.approx(14.05, abs=0.01)
-  assert (model.body('walker/trunk').mass[0]) == pytest.approx(5.89, abs=1e-9)
-
-
-def test_crouch_has_its_soles_on_the_ground() -> None:
-  model = _model()
-  assert _lowest_sole(model, _standing(model)) == pytest.approx(0.0, abs=1e-3)
-
-
-def test_straight_legs() -> None:
+def test_mass_and_height() -> None:
   model = _model(ground=None)
+  trunk = model.body('walker/trunk')
+  assert trunk.subtreemass[0] == pytest.approx(14.05, abs=0.01)
+  assert trunk.mass[0] == pytest.approx(5.89, abs=1e-9)
+  # Of the hips over the soles, with straight legs and in the crouch.
   data = mujoco.MjData(model)
-  data.qpos[7:] = _STRAIGHT
-  mujoco.mj_kinematics(model, data)
-  assert -_lowest_sole(model, data) == pytest.approx(0.68, abs=5e-3)
+  for joints, height in ((_STRAIGHT, 0.68), (np.zeros(10), _STAND_HEIGHT)):
+    data.qpos[7:] = joints
+    mujoco.mj_kinematics(model, data)
+    assert -_lowest_sole(model, data) == pytest.approx(height, abs=5e-3)
 
 
 def test_walker_knows_its_parts() -> None:
@@ -118,6 +103,10 @@ def test_walker_knows_its_parts() -> None:
   assert names(walker.end_effectors) == ('left_foot', 'right_foot')
   assert walker.root_body.name == 'trunk'
   assert walker.egocentric_camera.name == 'egocentric'
+  # Actions are not bounded by the joints' ranges.
+  spec = walker.action_spec
+  np.testing.assert_allclose(spec.maximum, np.full(10, np.pi), atol=1e-5)
+  np.testing.assert_allclose(spec.minimum, np.full(10, -np.pi), atol=1e-5)
 
 
 def test_joint_ranges_are_degrees_of_the_published_robot() -> None:
@@ -130,13 +119,6 @@ def test_joint_ranges_are_degrees_of_the_published_robot() -> None:
       )
       assert model.dof_damping[joint.dofadr[0]] == 0.1
       assert model.dof_frictionloss[joint.dofadr[0]] == 0.1
-
-
-def test_action_is_not_bounded_by_the_joint_ranges() -> None:
-  spec = mini_biped.MiniBiped().action_spec
-  assert spec.shape == (10,)
-  np.testing.assert_allclose(spec.maximum, np.full(10, np.pi), atol=1e-5)
-  np.testing.assert_allclose(spec.minimum, np.full(10, -np.pi), atol=1e-5)
 
 
 def test_torque_is_eq_2() -> None:
@@ -160,114 +142,87 @@ def test_torque_is_eq_2() -> None:
   assert free > 50
 
 
-class TestMirror:
-  """Left and right may be exchanged: joints change places, not signs."""
-
-  def _mirrored_pose(self, qpos: np.ndarray) -> np.ndarray:
-    signs = [1, -1, 1, 1, -1, 1, -1]  # y; quaternion's x and z.
-    return np.concatenate([qpos[:7] * signs, qpos[7:][_SWAPPED]])
-
-  def _mirrored_motion(self, qvel: np.ndarray) -> np.ndarray:
-    signs = [1, -1, 1, -1, 1, -1]  # vy; roll and yaw.
-    return np.concatenate([qvel[:6] * signs, qvel[6:][_SWAPPED]])
-
-  def _random_state(
-    self, model: mujoco.MjModel, random: np.random.RandomState, height: float
-  ) -> tuple[np.ndarray, np.ndarray]:
-    """Returns a state whose lowest sole is at `height`."""
-    quaternion = np.array([1.0, 0.0, 0.0, 0.0])
-    quaternion += 0.1 * random.standard_normal(4)
-    qpos = np.concatenate(
-      [
-        0.3 * random.standard_normal(2),
-        [0.0],
-        quaternion / np.linalg.norm(quaternion),
-        # Some joints are driven beyond their limits.
-        random.uniform(-0.4, 0.4, 10),
-      ]
-    )
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(model, data)
-    qpos[2] = height - _lowest_sole(model, data)
-    return qpos, random.standard_normal(16)
-
-  @pytest.mark.parametrize(
-    ('height', 'tolerance', 'touching'),
-    [(2.0, 1e-9, False), (-0.01, 1e-9, True)],
-  )
-  def test_accelerations(
-    self, height: float, tolerance: float, touching: bool
-  ) -> None:
-    # A plane, and soles no deeper in it than they are thick: otherwise MuJoCo
-    # chooses among contacts by the order of the corners.
-    model = _model(ground=None, plane=True)
-    # So that what differs is the model, not where the solver stopped.
-    model.opt.tolerance, model.opt.iterations = 1e-14, 500
-    random = np.random.RandomState(0)
-    touches = 0
-    for _ in range(20):
-      qpos, qvel = self._random_state(model, random, height)
-      action = random.uniform(-1, 1, 10)
-      accelerations = []
-      for p, v, a in (
-        (qpos, qvel, action),
-        (
-          self._mirrored_pose(qpos),
-          self._mirrored_motion(qvel),
-          action[_SWAPPED],
-        ),
-      ):
-        data = mujoco.MjData(model)
-        data.qpos[:], data.qvel[:], data.ctrl[:] = p, v, a
-        mujoco.mj_forward(model, data)
-        accelerations.append(data.qacc.copy())
-        touches += data.ncon
-      mine, other = accelerations
-      scale = np.abs(mine).max()
-      np.testing.assert_allclose(
-        self._mirrored_motion(other) / scale, mine / scale, atol=tolerance
-      )
-    assert (touches > 0) == touching
+def _mirrored_pose(qpos: np.ndarray) -> np.ndarray:
+  signs = [1, -1, 1, 1, -1, 1, -1]  # y; quaternion's x and z.
+  return np.concatenate([qpos[:7] * signs, qpos[7:][_SWAPPED]])
 
 
-class TestSensor:
-  def _sensors(
-    self, model: mujoco.MjModel, data: mujoco.MjData
-  ) -> dict[str, np.ndarray]:
-    names = [model.sensor(i).name for i in range(model.nsensor)]
-    return {
-      name.removeprefix('walker/'): data.sensor(name).data.copy()
-      for name in names
-    }
+def _mirrored_motion(qvel: np.ndarray) -> np.ndarray:
+  signs = [1, -1, 1, -1, 1, -1]  # vy; roll and yaw.
+  return np.concatenate([qvel[:6] * signs, qvel[6:][_SWAPPED]])
 
-  def test_in_flight(self) -> None:
-    model = _model(ground=None)
-    data = mujoco.MjData(model)
-    half = np.pi / 4  # Facing +y.
-    data.qpos[3:7] = [np.cos(half), 0, 0, np.sin(half)]
-    data.qvel[:6] = [0.0, 2.0, 0.5, 0.1, 0.2, 0.3]
-    mujoco.mj_forward(model, data)
-    sensors = self._sensors(model, data)
-    np.testing.assert_allclose(sensors['gyro'], [0.1, 0.2, 0.3], atol=1e-9)
+
+def _random_state(
+  model: mujoco.MjModel, random: np.random.RandomState, height: float
+) -> tuple[np.ndarray, np.ndarray]:
+  """Returns a state whose lowest sole is at `height`."""
+  data = mujoco.MjData(model)
+  data.qpos[:2] = 0.3 * random.standard_normal(2)
+  data.qpos[3:7] = np.eye(4)[0] + 0.1 * random.standard_normal(4)
+  data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
+  # Some joints are driven beyond their limits.
+  data.qpos[7:] = random.uniform(-0.4, 0.4, 10)
+  data.qpos[2] = 0.0
+  mujoco.mj_kinematics(model, data)
+  data.qpos[2] = height - _lowest_sole(model, data)
+  return data.qpos.copy(), random.standard_normal(16)
+
+
+@pytest.mark.parametrize(('height', 'touching'), [(2.0, False), (-0.01, True)])
+def test_left_and_right_may_be_exchanged(height: float, touching: bool) -> None:
+  """Joints change places, not signs."""
+  # A plane, and soles no deeper in it than they are thick: otherwise MuJoCo
+  # chooses among contacts by the order of the corners.
+  model = _model(ground=None, plane=True)
+  # So that what differs is the model, not where the solver stopped.
+  model.opt.tolerance, model.opt.iterations = 1e-14, 500
+  random = np.random.RandomState(0)
+  touches = 0
+  for _ in range(20):
+    qpos, qvel = _random_state(model, random, height)
+    action = random.uniform(-1, 1, 10)
+    accelerations = []
+    for p, v, a in (
+      (qpos, qvel, action),
+      (_mirrored_pose(qpos), _mirrored_motion(qvel), action[_SWAPPED]),
+    ):
+      data = mujoco.MjData(model)
+      data.qpos[:], data.qvel[:], data.ctrl[:] = p, v, a
+      mujoco.mj_forward(model, data)
+      accelerations.append(data.qacc.copy())
+      touches += data.ncon
+    mine, other = accelerations
+    scale = np.abs(mine).max()
     np.testing.assert_allclose(
-      sensors['velocimeter'], [2.0, 0.0, 0.5], atol=1e-9
+      _mirrored_motion(other) / scale, mine / scale, atol=1e-9
     )
-    np.testing.assert_allclose(
-      sensors['orientation'], data.qpos[3:7], atol=1e-9
-    )
-    assert sensors['left_foot'][0] == 0.0
-    assert sensors['right_foot'][0] == 0.0
+  assert (touches > 0) == touching
 
-  def test_at_rest(self) -> None:
-    model = _model('lift')
-    data = _settle(model, 1.5, mini_biped.standing_action(_model()))
-    sensors = self._sensors(model, data)
-    np.testing.assert_allclose(
-      sensors['accelerometer'], [0.0, 0.0, 9.81], atol=0.05
-    )
-    for side in mini_biped.SIDES:
-      assert (sensors[f'{side}_foot'][0]) == pytest.approx(_WEIGHT / 2, abs=1.0)
+
+def _sensors(model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, Any]:
+  names = [model.sensor(i).name for i in range(model.nsensor)]
+  return {
+    name.removeprefix('walker/'): data.sensor(name).data.copy()
+    for name in names
+  }
+
+
+def test_sensors_in_flight() -> None:
+  model = _model(ground=None)
+  data = mujoco.MjData(model)
+  half = np.pi / 4  # Facing +y.
+  data.qpos[3:7] = [np.cos(half), 0, 0, np.sin(half)]
+  data.qvel[:6] = [0.0, 2.0, 0.5, 0.1, 0.2, 0.3]
+  mujoco.mj_forward(model, data)
+  sensors = _sensors(model, data)
+  for name, expected in (
+    ('gyro', [0.1, 0.2, 0.3]),
+    ('velocimeter', [2.0, 0.0, 0.5]),
+    ('orientation', data.qpos[3:7]),
+    ('left_foot', [0.0]),
+    ('right_foot', [0.0]),
+  ):
+    np.testing.assert_allclose(sensors[name], expected, atol=1e-9)
 
 
 def test_action_balances_gravity() -> None:
@@ -288,16 +243,16 @@ def test_action_balances_gravity() -> None:
 
 
 def test_without_it_the_robot_sags() -> None:
-  heights = {}
   model = _model('lift')
-  for name, action in (
-    ('standing', mini_biped.standing_action(_model())),
-    ('zero', np.zeros(10)),
-  ):
-    data = _settle(model, 1.0, action)
-    heights[name] = _STAND_HEIGHT + data.qpos[0]
-  assert heights['standing'] == pytest.approx(_STAND_HEIGHT, abs=0.01)
-  assert heights['zero'] < _STAND_HEIGHT - 0.03
+  data = _settle(model, 1.5, mini_biped.standing_action(_model()))
+  assert data.qpos[0] == pytest.approx(0.0, abs=0.01)
+  sensors = _sensors(model, data)
+  np.testing.assert_allclose(
+    sensors['accelerometer'], [0.0, 0.0, 9.81], atol=0.05
+  )
+  for side in mini_biped.SIDES:
+    assert sensors[f'{side}_foot'][0] == pytest.approx(_WEIGHT / 2, abs=1.0)
+  assert _settle(model, 1.0, np.zeros(10)).qpos[0] < -0.03
 
 
 @pytest.mark.parametrize(('start', 'end'), [(-5.0, 0.0), (0.0, 5.0)])
@@ -333,53 +288,39 @@ def test_aliveness() -> None:
     assert walker.aliveness(physics) == pytest.approx(expected, abs=1e-7)
 
 
-class TestDmControlTasks:
-  """The robot in dm_control's own tasks, as its examples build them."""
+def _corridor(walker: mini_biped.MiniBiped, **timing: float) -> composer.Task:
+  arena = corridor_arenas.GapsCorridor(
+    platform_length=distributions.Uniform(0.3, 2.5),
+    gap_length=distributions.Uniform(0.1, 0.4),
+    corridor_width=10,
+    corridor_length=20,
+  )
+  return corridor_tasks.RunThroughCorridor(
+    walker, arena, walker_spawn_position=(0.5, 0, 0), **timing
+  )
 
-  def _run(self, task: composer.Task) -> None:
-    env = composer.Environment(
-      task, time_limit=30, random_state=0, strip_singleton_obs_buffer_dim=True
-    )
-    spec = env.action_spec()
-    random = np.random.RandomState(0)
-    time_step = env.reset()
-    for _ in range(20):
-      self._check(time_step, env.observation_spec())
-      time_step = env.step(random.uniform(-0.3, 0.3, spec.shape))
-      assert np.isfinite(time_step.reward or 0.0)
-    env.close()
 
-  def _check(self, time_step: Any, specs: Any) -> None:
-    assert ('walker/joints_pos') in time_step.observation
+def _target(walker: mini_biped.MiniBiped, **timing: float) -> composer.Task:
+  return go_to_target.GoToTarget(walker, floors.Floor(), **timing)
+
+
+@pytest.mark.parametrize(
+  'make', [pytest.param(_corridor, marks=pytest.mark.slow), _target]
+)
+def test_dm_controls_own_tasks(make: Callable[..., composer.Task]) -> None:
+  task = make(
+    mini_biped.MiniBiped(), physics_timestep=0.005, control_timestep=0.03
+  )
+  env = composer.Environment(
+    task, time_limit=30, random_state=0, strip_singleton_obs_buffer_dim=True
+  )
+  spec, specs = env.action_spec(), env.observation_spec()
+  random, time_step = np.random.RandomState(0), env.reset()
+  for _ in range(20):
+    assert 'walker/joints_pos' in time_step.observation
     for name, value in time_step.observation.items():
       specs[name].validate(value)
       assert np.isfinite(value).all(), name
-
-  @pytest.mark.slow
-  def test_run_through_corridor_with_gaps(self) -> None:
-    arena = corridor_arenas.GapsCorridor(
-      platform_length=distributions.Uniform(0.3, 2.5),
-      gap_length=distributions.Uniform(0.1, 0.4),
-      corridor_width=10,
-      corridor_length=20,
-    )
-    self._run(
-      corridor_tasks.RunThroughCorridor(
-        walker=mini_biped.MiniBiped(),
-        arena=arena,
-        walker_spawn_position=(0.5, 0, 0),
-        target_velocity=1.0,
-        physics_timestep=0.005,
-        control_timestep=0.03,
-      )
-    )
-
-  def test_go_to_target(self) -> None:
-    self._run(
-      go_to_target.GoToTarget(
-        walker=mini_biped.MiniBiped(),
-        arena=floors.Floor(),
-        physics_timestep=0.005,
-        control_timestep=0.03,
-      )
-    )
+    time_step = env.step(random.uniform(-0.3, 0.3, spec.shape))
+    assert np.isfinite(time_step.reward or 0.0)
+  env.close()
