@@ -15,12 +15,12 @@ def test_distances_and_separation() -> None:
   expected = [[0, 5, 1], [5, 0, root], [1, root, 0]]
   np.testing.assert_allclose(book.distances(), expected, rtol=1e-6)
   assert book.separation() == pytest.approx(3 / (6 + root), abs=1e-6)
-
-
-def test_aliased_and_single_modes() -> None:
   same = codebook.Codebook(('a', 'b'), np.ones((2, 4)))
   assert same.separation() == 0.0
   assert mode_set.one_hot(library.resolve('idle')).codebook.separation() == 1
+  assert book.index('c') == 2
+  with pytest.raises(ValueError, match="'fly'.*a"):
+    book.index('fly')
 
 
 def test_is_a_frozen_copy() -> None:
@@ -30,13 +30,6 @@ def test_is_a_frozen_copy() -> None:
   assert book.latents[0, 0] == 0.0
   with pytest.raises(ValueError):
     book.latents[0, 0] = 1.0
-
-
-def test_index() -> None:
-  book = mode_set.one_hot(library.resolve('pi2'))
-  assert book.index('launch') == 3
-  with pytest.raises(ValueError, match="'fly'.*idle"):
-    book.index('fly')
 
 
 @pytest.mark.parametrize(

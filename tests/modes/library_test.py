@@ -10,20 +10,10 @@ from dmc_multimode.modes import reference
 from dmc_multimode.utils import constants
 
 
-def _speed(name: str) -> np.ndarray:
-  bank = reference.ReferenceBank([library.modes()[name]])
-  return bank.displacements[0] / bank.durations[0]
-
-
-def test_has_fourteen_modes_under_their_names() -> None:
-  assert len(library.modes()) == 14
-  for name, motion in library.modes().items():
-    assert name == motion.name
-
-
 @pytest.mark.parametrize('name', [*library.modes()])
-def test_starts_nominal_and_stays_sane(name: str) -> None:
+def test_starts_nominal_stays_sane_and_has_a_mirror_image(name: str) -> None:
   motion = library.modes()[name]
+  assert motion.name == name
   np.testing.assert_allclose(motion.positions[0], [0, 0, 0.5])
   bank = reference.ReferenceBank([motion])
   phases = np.linspace(0, 1, 101)
@@ -33,45 +23,43 @@ def test_starts_nominal_and_stays_sane(name: str) -> None:
   height = bank.sample(modes, phases).position[:, 2]
   lowest = min(motion.ledge.height, 0.0) if motion.ledge else 0.0
   assert height.min() - lowest >= 0.4
-
-
-@pytest.mark.parametrize('name', [*library.modes()])
-def test_mirror_is_its_reflection(name: str) -> None:
-  motion = library.modes()[name]
   mirror = library.modes()[motion.mirror]
   assert mirror.mirror == name
-  flip = np.array([1.0, -1.0, 1.0])
-  np.testing.assert_allclose(mirror.positions, motion.positions * flip)
-  if motion.contacts is None or mirror.contacts is None:
-    raise AssertionError('every library mode has contacts')
+  np.testing.assert_allclose(mirror.positions, motion.positions * [1, -1, 1])
+  assert motion.contacts is not None and mirror.contacts is not None
   if not motion.half_cycle_symmetric:
     np.testing.assert_array_equal(mirror.contacts, motion.contacts[:, ::-1])
 
 
 @pytest.mark.parametrize(
-  ('name', 'expected'),
+  ('name', 'velocity', 'turn'),
   [
-    ('idle', [0, 0, 0]),
-    ('walk_forward', [0.6, 0, 0]),
-    ('walk_backward', [-0.4, 0, 0]),
-    ('walk_left', [0, 0.3, 0]),
-    ('walk_right', [0, -0.3, 0]),
-    ('leap_forward', [0.5, 0, 0]),
-    ('leap_left', [0, 0.25, 0]),
-    ('hop_forward', [0.6, 0, 0]),
-    ('launch', [0, 0, 0]),
+    ('idle', [0, 0, 0], 0),
+    ('walk_forward', [0.6, 0, 0], 0),
+    ('walk_backward', [-0.4, 0, 0], 0),
+    ('walk_left', [0, 0.3, 0], 0),
+    ('leap_forward', [0.5, 0, 0], 0),
+    ('leap_left', [0, 0.25, 0], 0),
+    ('hop_forward', [0.6, 0, 0], 0),
+    ('launch', [0, 0, 0], 0),
+    ('turn_left', [0, 0, 0], 0.35),
+    ('turn_right', [0, 0, 0], -0.35),
   ],
 )
-def test_mean_velocity(name: str, expected: list[float]) -> None:
-  np.testing.assert_allclose(_speed(name), expected, atol=1e-12)
+def test_mean_velocity(name: str, velocity: list[float], turn: float) -> None:
+  """Metres per second, and radians a cycle."""
+  bank = reference.ReferenceBank([library.modes()[name]])
+  speed = bank.displacements[0] / bank.durations[0]
+  np.testing.assert_allclose(speed, velocity, atol=1e-12)
+  assert bank.turns[0] == pytest.approx(turn, abs=1e-7)
+  assert bank.gaits[0] == name.startswith(('walk', 'turn'))
 
 
 def test_leap_flies_about_as_gravity_allows() -> None:
   motion = library.modes()['leap_forward']
   heights = motion.positions[:, 2]
   assert heights.max() - heights[0] == pytest.approx(0.18, abs=1e-7)
-  if motion.contacts is None:
-    raise AssertionError('leap has contacts')
+  assert motion.contacts is not None
   takeoff = int(np.flatnonzero(motion.contacts[:, 0] == 0)[0])
   landing = int(np.flatnonzero(motion.contacts[:, 0] == 0)[-1]) + 1
   flight = motion.duration * (motion.phases[landing] - motion.phases[takeoff])
@@ -113,16 +101,6 @@ def test_step_down_falls_as_gravity_has_it() -> None:
 
 
 @pytest.mark.parametrize(
-  ('name', 'sign'), [('turn_left', 1), ('turn_right', -1)]
-)
-def test_turns_stay_on_the_spot(name: str, sign: int) -> None:
-  bank = reference.ReferenceBank([library.modes()[name]])
-  assert bank.turns[0] == pytest.approx(sign * 0.35, abs=1e-7)
-  assert bank.gaits[0]
-  np.testing.assert_array_equal(bank.displacements, 0.0)
-
-
-@pytest.mark.parametrize(
   ('name', 'size'), [('pi1', 9), ('pi2', 4), ('pi3', 4), ('pi_all', 14)]
 )
 def test_sets(name: str, size: int) -> None:
@@ -131,18 +109,12 @@ def test_sets(name: str, size: int) -> None:
   assert [m.name for m in motions] == list(library.SETS[name])
 
 
-def test_resolve_names() -> None:
+def test_resolve() -> None:
   by_text = library.resolve('launch, idle')
   assert [m.name for m in by_text] == ['launch', 'idle']
   assert library.resolve(['launch', 'idle']) == by_text
-
-
-def test_resolve_prefers_user_modes() -> None:
   own = dataclasses.replace(library.modes()['idle'], duration=9.0)
   assert library.resolve('idle', [own])[0].duration == 9.0
   assert library.resolve('idle')[0].duration == 0.6
-
-
-def test_resolve_names_what_it_knows() -> None:
   with pytest.raises(ValueError, match="'fly'.*walk_forward.*pi1"):
     library.resolve('idle,fly')

@@ -38,35 +38,29 @@ def _still(name: str = 'still') -> motion_lib.ReferenceMotion:
 
 
 @pytest.mark.parametrize(
-  ('phase', 'expected'),
+  ('phase', 'position', 'degrees', 'contact'),
   [
-    (0.0, [0, 0, 0.5]),
-    (0.125, [0.2, 0, 0.6]),
-    (0.25, [0.4, 0, 0.7]),
-    (0.5, [0.6, 0.1, 0.7 - 0.2 / 3]),
-    (1.0, [1.0, 0.3, 0.5]),
+    (0.0, [0, 0, 0.5], 0, [1, 0]),
+    (0.125, [0.2, 0, 0.6], 0, [1, 0]),
+    (0.25, [0.4, 0, 0.7], 0, [0, 1]),  # Contacts hold until a keyframe.
+    (0.5, [0.6, 0.1, 0.7 - 0.2 / 3], 30, [0, 1]),
+    (0.75, [0.8, 0.2, 0.7 - 0.4 / 3], 60, [0, 1]),
+    (1.0, [1.0, 0.3, 0.5], 90, [0, 1]),
   ],
 )
-def test_position_is_linear_between_keyframes(
-  phase: float, expected: list[float]
+def test_sample_by_hand(
+  phase: float, position: list[float], degrees: float, contact: list[int]
 ) -> None:
-  position = reference.sample(_motion(), np.array([phase])).position[0]
-  np.testing.assert_allclose(position, expected, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-  ('phase', 'degrees'), [(0.1, 0), (0.25, 0), (0.5, 30), (0.75, 60), (1, 90)]
-)
-def test_orientation_turns_at_constant_rate(
-  phase: float, degrees: float
-) -> None:
-  orientation = reference.sample(_motion(), np.array([phase])).orientation[0]
+  found = reference.sample(_motion(), np.array([phase]))
+  np.testing.assert_allclose(found.position, [position], atol=1e-12)
   half = np.radians(degrees) / 2
   expected = [np.cos(half), 0, 0, np.sin(half)]
-  np.testing.assert_allclose(orientation, expected, atol=1e-12)
+  np.testing.assert_allclose(found.orientation, [expected], atol=1e-12)
   np.testing.assert_allclose(
-    motion_lib.yaw(orientation), np.radians(degrees), atol=1e-12
+    motion_lib.yaw(found.orientation), np.radians([degrees]), atol=1e-12
   )
+  np.testing.assert_array_equal(found.contact, [contact])
+  np.testing.assert_array_equal(found.has_contact, [True])
 
 
 def test_slerp_takes_the_short_way() -> None:
@@ -78,28 +72,14 @@ def test_slerp_takes_the_short_way() -> None:
   np.testing.assert_allclose(alike, 1.0, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-  ('phase', 'expected'), [(0.0, [1, 0]), (0.24, [1, 0]), (0.25, [0, 1])]
-)
-def test_contacts_hold_until_the_next_keyframe(
-  phase: float, expected: list[int]
-) -> None:
-  sampled = reference.sample(_motion(), np.array([phase, 1.0]))
-  np.testing.assert_array_equal(sampled.contact, [expected, [0, 1]])
-  np.testing.assert_array_equal(sampled.has_contact, [True, True])
-
-
 def test_orientations_are_normalised_once() -> None:
   motion = _motion(orientations=[[2, 0, 0, 0], [0, 3, 0, 0], [1, 2, 3, 4]])
   norms = np.linalg.norm(motion.orientations, axis=-1)
   np.testing.assert_allclose(norms, 1.0, atol=1e-15)
   again = dataclasses.replace(motion)
   np.testing.assert_array_equal(again.orientations, motion.orientations)
-
-
-def test_mirror_is_the_mode_itself_by_default() -> None:
-  assert _motion().mirror == 'test'
-  assert _motion(mirror='other').mirror == 'other'
+  # And a mode is its own mirror image by default.
+  assert (motion.mirror, _motion(mirror='other').mirror) == ('test', 'other')
 
 
 @pytest.mark.parametrize(
@@ -108,20 +88,15 @@ def test_mirror_is_the_mode_itself_by_default() -> None:
     ({'kind': 'sometimes'}, 'kind'),
     ({'duration': 0.0}, 'duration'),
     ({'duration': float('nan')}, 'duration'),
-    ({'duration': float('inf')}, 'duration'),
     ({'phases': [0.1, 0.25, 1.0]}, 'from 0 to 1'),
-    ({'phases': [0.0, 0.25, 0.9]}, 'from 0 to 1'),
     ({'phases': [0.0, 1.0, 1.0]}, 'rise'),
     ({'phases': [0.0, 1.0]}, 'positions'),
     ({'positions': np.zeros((3, 2))}, 'positions'),
     ({'positions': np.full((3, 3), np.nan)}, 'finite'),
     ({'orientations': np.zeros((3, 4))}, 'non-zero'),
     ({'orientations': np.ones(4)}, r'\[K, 4\]'),
-    ({'orientations': np.full((3, 4), np.nan)}, 'finite'),
     ({'contacts': np.full((3, 2), 0.5)}, 'contacts'),
-    ({'contacts': np.zeros((2, 2))}, 'contacts'),
     ({'takeoff': 1.5}, 'takeoff'),
-    ({'takeoff': float('nan')}, 'takeoff'),
     ({'kind': motion_lib.STEADY}, 'steady'),
   ],
 )
@@ -210,6 +185,12 @@ def test_the_ground_accelerates_up_to_the_take_off() -> None:
   expected = [slope, (slope + takeoff) / 2, takeoff]
   np.testing.assert_allclose(velocity[:, 2], expected, rtol=1e-6)
   np.testing.assert_array_equal(velocity[:, :2], 0.0)
+  # Flight past the last keyframe ends with the cycle: half of it, 1 s, from
+  # (0.6, 0.1, 0.6333) to (1, 0.3, 0.5).
+  bank = reference.ReferenceBank([_motion(contacts=[[1, 0], [0, 0], [0, 0]])])
+  velocity = bank.start_velocity(np.array([0]), np.array([0.5]))
+  rise = 0.5 - (0.7 - 0.2 / 3) + 0.5 * 9.81
+  np.testing.assert_allclose(velocity, [[0.4, 0.2, rise]], atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -243,22 +224,6 @@ def test_flights_count_from_the_push_off_on(
   np.testing.assert_array_equal(phases, [expected])
 
 
-def test_flight_past_the_last_keyframe_ends_with_the_cycle() -> None:
-  motion = _motion(contacts=[[1, 0], [0, 0], [0, 0]])
-  bank = reference.ReferenceBank([motion])
-  velocity = bank.start_velocity(np.array([0]), np.array([0.5]))[0]
-  # Half a cycle, 1 s, from (0.6, 0.1, 0.6333) to (1, 0.3, 0.5).
-  expected = [0.4, 0.2, 0.5 - (0.7 - 0.2 / 3) + 0.5 * 9.81]
-  np.testing.assert_allclose(velocity, expected, atol=1e-9)
-
-
-def test_has_contacts() -> None:
-  bank = reference.ReferenceBank([_motion(), _still()])
-  sampled = bank.sample(np.array([1, 0]), np.array([0.0, 0.0]))
-  np.testing.assert_array_equal(sampled.has_contact, [False, True])
-  np.testing.assert_array_equal(sampled.contact, [[0, 0], [1, 0]])
-
-
 def test_steps_of_one_foot() -> None:
   """Keyframes within a step do not cut it; flight and stance are no step."""
   motion = _motion(
@@ -279,6 +244,11 @@ def test_steps_of_one_foot() -> None:
   moving = swinging.any(axis=1)
   np.testing.assert_allclose(length[moving], [0.8, 0.8, 0.8, 0.5, 0.5])
   np.testing.assert_allclose(time[moving], [-0.4, -0.3, 0.2, -0.25, -0.05])
+  # Up to the end of the cycle.
+  bank = reference.ReferenceBank([_motion(), _still()])
+  swinging, time, length = bank.swing_timing(np.array([0]), np.array([0.9]))
+  np.testing.assert_array_equal(swinging, [[True, False]])
+  np.testing.assert_allclose((time[0], length[0]), (2 * (0.9 - 0.625), 1.5))
 
 
 def test_gaits() -> None:
@@ -293,10 +263,3 @@ def test_gaits() -> None:
   ]
   bank = reference.ReferenceBank(motions)
   np.testing.assert_array_equal(bank.gaits, [True, False, False, False, False])
-
-
-def test_a_step_up_to_the_end_of_the_cycle() -> None:
-  bank = reference.ReferenceBank([_motion(), _still()])
-  swinging, time, length = bank.swing_timing(np.array([0]), np.array([0.9]))
-  np.testing.assert_array_equal(swinging, [[True, False]])
-  np.testing.assert_allclose((time[0], length[0]), (2 * (0.9 - 0.625), 1.5))

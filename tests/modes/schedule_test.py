@@ -37,10 +37,7 @@ def test_start_steps() -> None:
     ({'clock_rate': np.ones(2)}, 'clock rate'),
     ({'starts': np.array([[0.1, 0.2]])}, 'time 0'),
     ({'starts': np.array([[0.0, 0.0]])}, 'rise'),
-    ({'starts': np.array([[0.0, np.nan]])}, 'rise'),
     ({'clock_rate': np.zeros(1)}, 'positive'),
-    ({'clock_rate': np.array([np.nan])}, 'positive'),
-    ({'clock_rate': np.array([np.inf])}, 'positive'),
   ],
 )
 def test_rejects(changes: dict[str, Any], message: str) -> None:
@@ -51,13 +48,6 @@ def test_rejects(changes: dict[str, Any], message: str) -> None:
   }
   with pytest.raises(ValueError, match=message):
     schedule.ModeSchedule(**{**fields, **changes})
-
-
-def test_single() -> None:
-  plan = schedule.single(np.array([2, 0]), clock_rate=1.5)
-  np.testing.assert_array_equal(plan.modes, [[2], [0]])
-  np.testing.assert_array_equal(plan.starts, [[0], [0]])
-  np.testing.assert_array_equal(plan.clock_rate, [1.5, 1.5])
 
 
 def test_transitions_switch_after_clips_and_phase() -> None:
@@ -111,17 +101,17 @@ def test_commands_wait_for_who_pushes_off() -> None:
   np.testing.assert_allclose(plan.starts[:, 1], [0.15, 0.6, 1.2, 0.3])
 
 
-def test_from_knots() -> None:
+def test_from_knots_and_single_modes() -> None:
   plan = schedule.from_knots(np.array([[1, 0, 2]]), 0.3, clock_rate=0.8)
   np.testing.assert_array_equal(plan.modes, [[1, 0, 2]])
   np.testing.assert_allclose(plan.starts, [[0, 0.3, 0.6]])
   np.testing.assert_allclose(plan.clock_rate, [0.8])
-
-
-@pytest.mark.parametrize('duration', [0.0, -1.0, float('nan')])
-def test_from_knots_rejects(duration: float) -> None:
   with pytest.raises(ValueError, match='longer than 0'):
-    schedule.from_knots(np.array([[1, 0]]), duration)
+    schedule.from_knots(np.array([[1, 0]]), 0.0)
+  plan = schedule.single(np.array([2, 0]), clock_rate=1.5)
+  np.testing.assert_array_equal(plan.modes, [[2], [0]])
+  np.testing.assert_array_equal(plan.starts, [[0], [0]])
+  np.testing.assert_array_equal(plan.clock_rate, [1.5, 1.5])
 
 
 def test_from_names() -> None:
@@ -148,26 +138,6 @@ def test_from_names_rejects(
     schedule.from_names(_PI2, names, durations)
 
 
-@pytest.mark.parametrize(
-  'text',
-  [
-    '',
-    'idle',
-    'idle:',
-    ':2',
-    'idle:0',
-    'idle:-1',
-    'idle:nan',
-    'idle:inf',
-    'idle:1,',
-    'idle:1:2',
-  ],
-)
-def test_parse_rejects(text: str) -> None:
-  with pytest.raises(ValueError, match='MODE:SECONDS'):
-    schedule.parse(text)
-
-
 @hypothesis.given(
   st.lists(
     st.tuples(st.sampled_from(_PI2.names), st.floats(1e-3, 1e3)), min_size=1
@@ -179,10 +149,15 @@ def test_parse_reads_what_is_written(items: list[tuple[str, float]]) -> None:
 
 
 @hypothesis.given(st.text('idle:,. 0123e-+nan', max_size=12))
+@hypothesis.example('')
+@hypothesis.example(':2')
+@hypothesis.example('idle:inf')
+@hypothesis.example('idle:1:2')
 def test_parse_answers_or_refuses_in_one_line(text: str) -> None:
   try:
     _, durations = schedule.parse(text)
   except ValueError as error:
+    assert 'MODE:SECONDS' in str(error)
     assert '\n' not in str(error)
   else:
-    assert min(durations) > 0
+    assert 0 < min(durations) and max(durations) < np.inf
