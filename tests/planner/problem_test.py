@@ -149,20 +149,36 @@ def test_pushes() -> None:
   np.testing.assert_array_equal(pushed.rollout(plans).paths, twice)
 
 
-def test_those_that_fell_stay_where_they_fell(
-  capfd: pytest.CaptureFixture[str],
-) -> None:
-  """And cost nothing more; a state that is not finite is not taken over."""
+def test_those_that_fell_stay_where_they_fell() -> None:
+  """And cost nothing more."""
   problem = _problem(2, 'gap', knots=8, goal=(2.0, 0.0, 0.5))
-  plan = np.array([_WALK, _IDLE])
-  knots = [problem.run_knot(plan) for _ in range(8)]
+  modes = np.array([_WALK, _IDLE])
+  knots = [problem.run_knot(modes) for _ in range(8)]
+  # The gap is where 8 knots of a walk lead to.
+  assert knots[-1].position[0, 0] > 0.8
+  assert knots[-1].position[0, 2] < 0.3
+  alive = np.array([knot.alive for knot in knots])
+  assert alive[:, 1].all() and alive[0, 0] and not alive[-1, 0]
+  assert (np.diff(alive[:, 0].astype(int)) <= 0).all()
+  assert knots[-1].reward[0] == 0.0
+  assert not knots[-1].reached.any()
   path = np.concatenate([knot.path for knot in knots])
   still = np.flatnonzero((np.diff(path[:, 0], axis=0) == 0).all(axis=1))
   assert 10 < len(still) and (np.diff(still) == 1).all()
   assert still[-1] == len(path) - 2
   assert problem.control_steps == 2 * len(path) - len(still)
   assert (np.diff(path[:, 1], axis=0) != 0).any(axis=1).all()
+  # Who takes after a fallen robot has fallen.
+  problem.copy_state(np.array([1, 0]))
+  fallen = problem.run_knot(np.array([_IDLE, _IDLE]))
+  np.testing.assert_array_equal(fallen.alive, [True, False])
+  problem.reset()
+  assert problem.run_knot(modes).alive.all()
 
+
+def test_state_that_is_not_finite_is_not_alive(
+  capfd: pytest.CaptureFixture[str],
+) -> None:
   problem = _problem(1)
   _run(problem, [_IDLE])
   problem._worlds.qvel[0, 8] = np.inf
@@ -170,31 +186,6 @@ def test_those_that_fell_stay_where_they_fell(
   assert not progress.alive[0]
   assert np.isfinite(progress.path).all()
   assert 'nan' not in capfd.readouterr().err.lower()
-
-
-def test_those_that_fell_stay_fallen() -> None:
-  problem = _problem(2, 'gap', knots=8, goal=(2.0, 0.0, 0.5))
-  plans = np.array([[_WALK] * 8, [_IDLE] * 8])
-  problem.reset()
-  knots = [problem.run_knot(modes) for modes in plans.T]
-  # The gap is where 8 knots of a walk lead to.
-  assert knots[-1].position[0, 0] > 0.8
-  assert knots[-1].position[0, 2] < 0.3
-  alive = np.array([knot.alive for knot in knots])
-  np.testing.assert_array_equal(alive[:, 1], True)
-  np.testing.assert_array_equal(alive[0], True)
-  assert not alive[-1, 0]
-  assert (np.diff(alive[:, 0].astype(int)) <= 0).all()
-  assert knots[-1].reward[0] == 0.0
-  assert not knots[-1].reached.any()
-  problem.reset()
-  assert problem.run_knot(plans[:, 0]).alive.all()
-  # Who takes after a fallen robot has fallen.
-  for modes in plans.T[1:]:
-    problem.run_knot(modes)
-  problem.copy_state(np.array([1, 0]))
-  fallen = problem.run_knot(np.array([_IDLE, _IDLE]))
-  np.testing.assert_array_equal(fallen.alive, [True, False])
 
 
 @pytest.mark.parametrize(

@@ -101,17 +101,6 @@ def test_legs_are_alike_and_joints_within_their_ranges() -> None:
     assert angles[:, i].max() <= joint.range[1], name
 
 
-def test_every_row_by_itself() -> None:
-  heights, climbs = np.array([0.3, 0.45, 0.9]), np.array([0.0, -1.0, 1.0])
-  kept = heights.copy()
-  together = _standing_joints(heights, climbs)
-  for i in range(3):
-    alone = _standing_joints(heights[i : i + 1], climbs[i : i + 1])
-    for one, other in zip(together, alone, strict=True):
-      np.testing.assert_array_equal(one[i], other[0])
-  np.testing.assert_array_equal(heights, kept)
-
-
 @pytest.mark.parametrize('rate', (-0.6, 0.0, 0.5))
 @pytest.mark.parametrize('height', (0.42, 0.5, 0.58))
 @pytest.mark.parametrize('forward', (-0.1, 0.0, 0.12))

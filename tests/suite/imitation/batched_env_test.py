@@ -576,27 +576,6 @@ def test_contact_bonus() -> None:
   np.testing.assert_allclose(bonuses[-1], 0.0, atol=0.01)
 
 
-@pytest.mark.parametrize('clearance', (0.02, 0.04, 0.2))
-def test_contact_bonus_of_swinging_feet(clearance: float) -> None:
-  """In flight it grows with the height of the soles, over a block too."""
-  worlds = _launching(contact_bonus=0.2)
-  worlds.core.tracker.state.phase[:] = 0.6
-  block = np.arange(8) % 2 == 1
-  worlds.qpos[:, 0] = np.where(block, 1.0, -0.5)
-  ground = np.where(block, 0.4, 0.0)
-  # In the crouch at zero angles; what is asked for is a step from now.
-  fallen = -0.5 * 9.81 * worlds.config.control_timestep**2
-  worlds.qpos[:, 2] = ground + 0.5 + clearance - fallen
-  worlds.qpos[:, 3:] = [1.0] + [0.0] * 13
-  worlds.qvel[:] = 0.0
-  step = worlds.step(np.zeros((8, 10)))
-  assert worlds.outcome is not None
-  terms = sum(worlds.outcome.terms.values())
-  np.testing.assert_allclose(
-    step.reward - terms, 0.2 * min(clearance / 0.05, 1.0) ** 2, atol=0.01
-  )
-
-
 # --- Privileged critic observations.
 
 

@@ -161,36 +161,6 @@ def test_heading_is_the_commanded_one() -> None:
   )
 
 
-@pytest.mark.parametrize(
-  ('commands_from_ground', 'expected'), [(True, 1.0), (False, 0.82)]
-)
-def test_launch_is_left_only_when_it_is_over(
-  commands_from_ground: bool, expected: float
-) -> None:
-  """Or, where commands need not come from the ground, has touched down."""
-  known = mode_set.one_hot(library.resolve('pi2'))
-  launch, count = known.index('launch'), len(schedule.SWITCH_PHASES)
-  plan = schedule.transitions(
-    known,
-    np.full(count, launch),
-    np.zeros(count, dtype=np.int64),
-    np.zeros(count),
-    np.array(schedule.SWITCH_PHASES),
-    commands_from_ground,
-  )
-  tracker = commands.ModeTracker(known, 0.03, count, 2)
-  tracker.reset(np.arange(count), plan, np.zeros(count), np.zeros(count))
-  left = np.full(count, np.nan)
-  for _ in range(40):
-    tracker.advance()
-    ids, modes = tracker.pop_due_commands()
-    left[ids] = tracker.state.phase[ids]
-    tracker.command(ids, modes, np.zeros((len(ids), 3)), 0.0 * ids)
-  # To half a control step.
-  half = 0.5 * 0.03 / known.bank.durations[launch] + 1e-9
-  np.testing.assert_allclose(left, [expected] * count, atol=half)
-
-
 # --- The ledge that a mode is about to climb.
 
 
@@ -273,12 +243,6 @@ def test_upcoming_commands(
     _run(tracker, 1)
 
 
-def test_due_command_is_due_in_no_time() -> None:
-  tracker = _started([_GO, _STAND], [0.0, 0.25])
-  tracker.advance()
-  assert tracker.upcoming()[0] == [0.0]
-
-
 def test_shorter_schedule_forgets_the_longer_one() -> None:
   tracker = _started([_GO, _STAND, _JUMP], [0.0, 0.25, 0.5])
   _restart(tracker, 0, _TURN)
@@ -286,23 +250,6 @@ def test_shorter_schedule_forgets_the_longer_one() -> None:
   np.testing.assert_array_equal(seconds, [np.inf])
   np.testing.assert_array_equal(latents, np.eye(4)[[_TURN]])
   assert not _run(tracker, 5)
-
-
-def test_upcoming_commands_of_some_worlds() -> None:
-  tracker = _tracker(num_worlds=3)
-  plan = schedule.ModeSchedule(
-    np.array([[_GO, _STAND], [_JUMP, _GO], [_TURN, _JUMP]]),
-    np.array([[0.0, 0.5], [0.0, np.inf], [0.0, 1.0]]),
-    np.ones(3),
-  )
-  tracker.reset(np.arange(3), plan, np.zeros(3), np.zeros(3))
-  _run(tracker, 1)
-  countdown, latents = tracker.upcoming()
-  np.testing.assert_array_equal(countdown, [0.25, np.inf, 0.75])
-  np.testing.assert_array_equal(latents, np.eye(4)[[_STAND, _JUMP, _JUMP]])
-  some, rows = tracker.upcoming(np.array([2, 1]))
-  np.testing.assert_array_equal(some, countdown[[2, 1]])
-  np.testing.assert_array_equal(rows, latents[[2, 1]])
 
 
 # --- Of modes of the library.
@@ -356,10 +303,6 @@ def test_airborne(name: str, phase: float, expected: bool) -> None:
   np.testing.assert_array_equal(tracker.airborne(both[::-1]), [expected, False])
 
 
-def test_mode_without_contacts_is_never_airborne() -> None:
-  assert not _started([_JUMP], phase=0.5).airborne(_FIRST)
-
-
 @pytest.mark.parametrize(
   ('name', 'phase', 'clock_rate', 'expected'),
   [
@@ -392,23 +335,6 @@ def test_take_offs(
 # --- Resets.
 
 
-def test_worlds_are_independent() -> None:
-  tracker = _tracker(num_worlds=3)
-  tracker.reset(
-    np.arange(3),
-    schedule.single(np.array([_GO, _STAND, _JUMP])),
-    np.array([0.0, 0.25, 0.5]),
-    np.array([0.0, 0.1, 0.2]),
-  )
-  tracker.advance()
-  np.testing.assert_array_equal(tracker.state.phase, [0.25, 0.5, 0.75])
-  _restart(tracker, 1, _JUMP, support=0.7)
-  np.testing.assert_array_equal(tracker.state.mode, [_GO, _JUMP, _JUMP])
-  np.testing.assert_array_equal(tracker.state.phase, [0.25, 0.0, 0.75])
-  np.testing.assert_array_equal(tracker.state.step, [1, 0, 1])
-  np.testing.assert_array_equal(tracker.state.anchor[:, 2], [0, 0.7, 0.2])
-
-
 def test_start_pose_is_the_reference_with_its_velocity() -> None:
   tracker = _started([_GO], phase=0.5, support=0.2, clock_rate=1.5)
   position, orientation, velocity = tracker.start_pose(_FIRST)
@@ -417,8 +343,28 @@ def test_start_pose_is_the_reference_with_its_velocity() -> None:
   np.testing.assert_allclose(velocity, [[3.0, 0.0, 0.0]])
 
 
-def test_rejects_a_schedule_too_long() -> None:
-  tracker = _tracker(max_knots=2)
+def test_worlds_are_independent() -> None:
+  tracker = _tracker(num_worlds=3, max_knots=2)
+  plan = schedule.ModeSchedule(
+    np.array([[_GO, _STAND], [_STAND, _GO], [_JUMP, _GO]]),
+    np.array([[0.0, 0.5], [0.0, np.inf], [0.0, 1.0]]),
+    np.ones(3),
+  )
+  phase, support = np.array([0.0, 0.25, 0.5]), np.array([0.0, 0.1, 0.2])
+  tracker.reset(np.arange(3), plan, phase, support)
+  tracker.advance()
+  np.testing.assert_array_equal(tracker.state.phase, [0.25, 0.5, 0.75])
+  countdown, latents = tracker.upcoming()
+  np.testing.assert_array_equal(countdown, [0.25, np.inf, 0.75])
+  np.testing.assert_array_equal(latents, np.eye(4)[[_STAND, _STAND, _GO]])
+  some, rows = tracker.upcoming(np.array([2, 1]))
+  np.testing.assert_array_equal(some, countdown[[2, 1]])
+  np.testing.assert_array_equal(rows, latents[[2, 1]])
+  _restart(tracker, 1, _JUMP, support=0.7)
+  np.testing.assert_array_equal(tracker.state.mode, [_GO, _JUMP, _JUMP])
+  np.testing.assert_array_equal(tracker.state.phase, [0.25, 0.0, 0.75])
+  np.testing.assert_array_equal(tracker.state.step, [1, 0, 1])
+  np.testing.assert_array_equal(tracker.state.anchor[:, 2], [0, 0.7, 0.2])
   plan = schedule.from_knots(np.array([[_GO, _STAND, _GO]]), 0.5)
   with pytest.raises(ValueError, match='max_knots'):
     tracker.reset(_FIRST, plan, np.zeros(1), np.zeros(1))

@@ -115,16 +115,6 @@ def starts(request: pytest.FixtureRequest) -> _Starts:
   return _Starts(1.0, request.param)
 
 
-def test_many_phases_are_tried(starts: _Starts) -> None:
-  phases = starts.phase.reshape(len(_MOTIONS), _PHASES)
-  assert phases.min(axis=1).max() < 0.15
-  assert phases.max(axis=1).min() > 0.85
-  leaps = {f'leap_{d}' for d in ('forward', 'backward', 'left', 'right')}
-  assert starts.names(starts.aloft) == (
-    {'hop_forward', 'launch', 'step_down'} | leaps
-  )
-
-
 def test_feet_stand_where_the_reference_stands(starts: _Starts) -> None:
   # No foot is in the ground or in a block.
   depth = -starts.gaps.min(axis=(1, 2))
@@ -197,6 +187,9 @@ def test_velocity_is_the_reference_s_or_slower(starts: _Starts) -> None:
   np.testing.assert_array_equal(moved[~moving], 0.0)
   np.testing.assert_array_equal(starts.qvel[:, 3:6], 0.0)
   # Legs are drawn up in flight.
+  leaps = {f'leap_{d}' for d in ('forward', 'backward', 'left', 'right')}
+  jumps = {'hop_forward', 'launch', 'step_down'}
+  assert starts.names(starts.aloft) == jumps | leaps
   legs_then = starts.qpos[starts.aloft, 7:]
   np.testing.assert_allclose(legs_then, 0.0, atol=1e-12)
   np.testing.assert_array_equal(starts.qvel[starts.aloft, 6:], 0.0)
@@ -437,24 +430,6 @@ def test_without_obstacles_only_edges_are_drawn(share: Any) -> None:
   assert random_state.uniform() == by_hand.uniform()
 
 
-def test_whatever_changes_is_told() -> None:
-  """The engines move only these worlds' boxes."""
-  names = _NAMES * 20
-  count = len(names)
-  core, random_state = _begun(['idle'] * count, obstacles=0.5)
-  random, x = np.random.RandomState(1), np.zeros(count)
-  for _ in range(4):
-    before = core.terrain.rows(np.arange(count))
-    order = random.permutation(count)
-    x += random.uniform(0.0, 0.3, count)
-    changed = _command(core, [names[i] for i in order], x, random_state)
-    pairs = zip(core.terrain, before, strict=True)
-    differs = np.any([(a != b).any(axis=1) for a, b in pairs], axis=0)
-    assert differs.sum() > count / 5
-    assert set(np.flatnonzero(differs)) <= set(changed)
-    assert len(set(changed)) == len(changed)
-
-
 # --- References follow the ground under the trunk.
 
 
@@ -561,35 +536,3 @@ def test_whoever_goes_back_finds_level_ground() -> None:
   # And who is on the ground from the start stays there.
   core, random_state = _begun(['idle'])
   assert not len(_command(core, ['walk_backward'], [0.5], random_state))
-
-
-def test_references_of_some_worlds() -> None:
-  core, random_state = _begun(_NAMES * 3, obstacles=1.0)
-  count = len(_NAMES) * 3
-  _command(core, (_NAMES * 3)[::-1], np.zeros(count), random_state)
-  x = np.random.RandomState(0).uniform(0.0, 1.2, count)
-  every = core.reference(x)
-  lifted = every.position[:, 2] - core.tracker.reference().position[:, 2]
-  assert np.ptp(lifted) > 0.1
-  for ids in (np.array([7, 2, 9]), np.zeros(0, dtype=np.int64), slice(3, 5)):
-    for mine, wanted in zip(core.reference(x[ids], ids), every, strict=True):
-      np.testing.assert_array_equal(mine, wanted[ids])
-
-
-def test_start_on_a_block_that_is_too_low() -> None:
-  """Who begins when the launch is over stands on what is there."""
-  count = 100
-  core, random_state = _begun(
-    ['launch'] * count, obstacles=1.0, reference_starts=1.0
-  )
-  modes = _modes('launch').repeat(count)
-  plan = episodes.Episodes(schedule.single(modes), modes, modes)
-  ground = _ground(count, (-20, _GROUND_END, 0.2))
-  with _drawing([0.3] * count, [0.1] * count, [0.0] * count):
-    qpos, _ = core.start(np.arange(count), plan, ground, random_state)
-  _assert_segments(core, 0, (-20, 0.3, 0.2), (0.3, _GROUND_END, 0.3))
-  over = core.tracker.state.phase > 0.83
-  assert over.sum() > 5
-  np.testing.assert_allclose(
-    qpos[over, 2], core.tracker.reference().position[over, 2] - 0.3
-  )

@@ -160,10 +160,3 @@ def test_each_robot_meets_what_suits_its_mode() -> None:
     none, np.zeros(0), np.random.RandomState(0)
   )
   assert [field.shape for field in drawn] == [(0,)] * 3
-
-
-def test_one_seed_one_draw() -> None:
-  one, same, other = (_draw('leap_forward', seed=seed) for seed in (3, 3, 4))
-  for mine, theirs in zip(one, same, strict=True):
-    np.testing.assert_array_equal(mine, theirs)
-  assert not np.array_equal(one.edge, other.edge)
