@@ -188,11 +188,7 @@ def test_is_what_comes_next(
   hypothesis.assume(edge > segments[0][0])
   before = _terrain(*segments, num_segments=5)
   after = terrain.with_ledge(
-    before,
-    np.array([x]),
-    np.array([edge]),
-    np.array([height]),
-    np.array([gap]),
+    before, np.array([x]), np.array([edge]), np.array([height]), np.array([gap])
   )
   np.testing.assert_allclose(_next(after, x), (edge, height, gap), atol=1e-9)
   # Nothing follows, and nothing has changed up to here.
@@ -271,8 +267,7 @@ def test_levelled_on_one_side_and_as_before_on_the_other(
 def test_boxes_by_hand() -> None:
   centres, halves = terrain.boxes(_COURSE)
   np.testing.assert_allclose(
-    centres[0, :3],
-    [[-9.5, 0, -0.5], [1.75, 0, -0.3], [5.5, 0, 0.1]],
+    centres[0, :3], [[-9.5, 0, -0.5], [1.75, 0, -0.3], [5.5, 0, 0.1]]
   )
   np.testing.assert_allclose(
     halves[0, :3], [[10.5, 4, 0.5], [0.25, 4, 0.5], [3.5, 4, 0.5]]

@@ -134,8 +134,7 @@ def test_one_seed_one_track(make: Callable[[], track.Track]) -> None:
 
 
 @pytest.mark.parametrize(
-  'sizes',
-  [{'length': 0.0}, {'length': float('nan')}, {'gap': -0.1}],
+  'sizes', [{'length': 0.0}, {'length': float('nan')}, {'gap': -0.1}]
 )
 def test_impossible_piece(sizes: dict[str, float]) -> None:
   piece = layouts.Piece(**{'length': 1.0, **sizes})

@@ -21,15 +21,13 @@ _SWAPPED = np.r_[5:10, 0:5]  # Left joints for right ones.
 
 
 def _model(
-  joint: str = 'free',
-  ground: tuple[float, float] | None = (-5, 5),
-  plane: bool = False,
+  joint: str = 'free', ground: bool = True, plane: bool = False
 ) -> mujoco.MjModel:
   """Compiles the robot on a box whose top is at z = 0.
 
   Args:
     joint: between trunk and world: 'free', or 'lift' (up and down only).
-    ground: where the box begins and ends along x, metres, or None for no box.
+    ground: whether there is the box.
     plane: whether there is a plane at z = 0 too.
   """
   arena = composer.Arena()
@@ -43,8 +41,8 @@ def _model(
       'geom',
       name='ground',
       type='box',
-      size=[(ground[1] - ground[0]) / 2, 3, 0.5],
-      pos=[(ground[0] + ground[1]) / 2, 0, -0.5],
+      size=[5, 3, 0.5],
+      pos=[0, 0, -0.5],
       friction=[0.9, 0.005, 0.0001],
     )
   if plane:
@@ -83,7 +81,7 @@ def _settle(
 
 
 def test_mass_and_height() -> None:
-  model = _model(ground=None)
+  model = _model(ground=False)
   trunk = model.body('walker/trunk')
   assert trunk.subtreemass[0] == pytest.approx(14.05, abs=0.01)
   assert trunk.mass[0] == pytest.approx(5.89, abs=1e-9)
@@ -173,7 +171,7 @@ def test_left_and_right_may_be_exchanged(height: float, touching: bool) -> None:
   """Joints change places, not signs."""
   # A plane, and soles no deeper in it than they are thick: otherwise MuJoCo
   # chooses among contacts by the order of the corners.
-  model = _model(ground=None, plane=True)
+  model = _model(ground=False, plane=True)
   # So that what differs is the model, not where the solver stopped.
   model.opt.tolerance, model.opt.iterations = 1e-14, 500
   random = np.random.RandomState(0)
@@ -208,7 +206,7 @@ def _sensors(model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, Any]:
 
 
 def test_sensors_in_flight() -> None:
-  model = _model(ground=None)
+  model = _model(ground=False)
   data = mujoco.MjData(model)
   half = np.pi / 4  # Facing +y.
   data.qpos[3:7] = [np.cos(half), 0, 0, np.sin(half)]
@@ -227,7 +225,7 @@ def test_sensors_in_flight() -> None:
 
 def test_action_balances_gravity() -> None:
   """Half of the weight under each foot leaves nothing to accelerate."""
-  model = _model(ground=None)
+  model = _model(ground=False)
   model.dof_frictionloss[:] = 0.0  # It would hide a small torque.
   data = mujoco.MjData(model)
   data.ctrl[:] = mini_biped.standing_action(model)

@@ -15,6 +15,8 @@ from dmc_multimode.modes.encoder import mode_encoder
 from dmc_multimode.modes.encoder import network
 from dmc_multimode.modes.encoder import training as encoder_training
 
+pytestmark = pytest.mark.slow  # The first encoder takes seconds.
+
 _OLD = library.resolve('idle,walk_forward')
 # Reached within some passes.
 _ROUGH = mode_encoder.EncoderConfig(max_rmse=0.1, hidden=8, learning_rate=0.03)

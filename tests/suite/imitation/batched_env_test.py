@@ -689,15 +689,9 @@ def test_model_has_all_that_moves_and_nothing_to_look_at() -> None:
   names = [model.geom(i).name for i in range(model.ngeom)]
   assert names == [whole.geom(i).name for i in collides]
   for name in (
-    'body_mass',
-    'body_inertia',
-    'body_ipos',
-    'body_iquat',
-    'jnt_range',
-    'dof_damping',
-    'dof_frictionloss',
-    'actuator_gainprm',
-    'actuator_forcerange',
+    *('body_mass', 'body_inertia', 'body_ipos', 'body_iquat', 'jnt_range'),
+    *('dof_damping', 'dof_frictionloss'),
+    *('actuator_gainprm', 'actuator_forcerange'),
   ):
     np.testing.assert_array_equal(
       getattr(model, name), getattr(whole, name), err_msg=name

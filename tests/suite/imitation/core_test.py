@@ -496,9 +496,7 @@ def test_launch_onto_its_own_block(obstacle_share: float) -> None:
   ],
 )
 def test_launch_onto_another_block(
-  segments: Sequence[_Segment],
-  x: Sequence[float],
-  expected: Sequence[float],
+  segments: Sequence[_Segment], x: Sequence[float], expected: Sequence[float]
 ) -> None:
   core, _ = _begun(['launch'], segments, adaptive=False)
   for _ in range(40):
