@@ -41,22 +41,27 @@ def _courses(draw: st.DrawFn) -> list[tuple[float, float, float]]:
   return segments
 
 
+_END = (np.inf, 0.0, 0.0)
+
+
 @pytest.mark.parametrize(
-  ('x', 'expected'),
+  ('x', 'height', 'following'),
   [
-    (-30.0, 0.0),  # Behind everything: the first segment.
-    (0.0, 0.0),
-    (1.0, 0.0),
-    (1.25, 0.0),  # Over the gap: that before it.
-    (1.4999, 0.0),
-    (1.5, 0.2),  # An edge belongs to the segment that starts there.
-    (1.9999, 0.2),
-    (2.0, 0.6),
-    (50.0, 0.6),  # Past the end: the last one.
+    (-30.0, 0.0, (1.5, 0.2, 0.5)),  # Behind everything: the first segment.
+    (1.0, 0.0, (1.5, 0.2, 0.5)),
+    (1.25, 0.0, (1.5, 0.2, 0.5)),  # Over the gap: that before it.
+    (1.4999, 0.0, (1.5, 0.2, 0.5)),
+    (1.5, 0.2, (2.0, 0.4, 0.0)),  # An edge belongs to what starts there.
+    (1.9999, 0.2, (2.0, 0.4, 0.0)),
+    (2.0, 0.6, _END),
+    (50.0, 0.6, _END),  # Past the end: the last one.
   ],
 )
-def test_support_height_by_hand(x: float, expected: float) -> None:
-  assert _at(_COURSE, x)[0] == expected
+def test_support_height_and_next_segment_by_hand(
+  x: float, height: float, following: tuple[float, float, float]
+) -> None:
+  assert _at(_COURSE, x)[0] == height
+  np.testing.assert_allclose(_next(_COURSE, x), following, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -85,24 +90,6 @@ def _next(course: terrain.Terrain, x: float) -> tuple[float, float, float]:
   return float(start[0]), float(rise[0]), float(gap[0])
 
 
-@pytest.mark.parametrize(
-  ('x', 'expected'),
-  [
-    (-30.0, (1.5, 0.2, 0.5)),  # Behind everything: after the first segment.
-    (0.0, (1.5, 0.2, 0.5)),
-    (1.25, (1.5, 0.2, 0.5)),  # Over the gap, of which all counts.
-    (1.5, (2.0, 0.4, 0.0)),
-    (1.9999, (2.0, 0.4, 0.0)),
-    (2.0, (np.inf, 0.0, 0.0)),
-    (50.0, (np.inf, 0.0, 0.0)),
-  ],
-)
-def test_next_segment_by_hand(
-  x: float, expected: tuple[float, float, float]
-) -> None:
-  np.testing.assert_allclose(_next(_COURSE, x), expected, atol=1e-12)
-
-
 def test_next_segment_of_each_world() -> None:
   """The last two are of a ledge down, and of a pool without a free row."""
   several = terrain.empty(5, 4)
@@ -126,7 +113,7 @@ def test_support_is_what_started_last_and_next_what_did_not(
   course = _terrain(*segments)
   under = max(sum(start <= x for start, _, _ in segments) - 1, 0)
   assert _at(course, x)[0] == segments[under][2]
-  expected = (np.inf, 0.0, 0.0)
+  expected = _END
   if under + 1 < len(segments):
     (_, end, here), (start, _, there) = segments[under : under + 2]
     expected = (start, there - here, start - end)
@@ -192,7 +179,7 @@ def test_is_what_comes_next(
   )
   np.testing.assert_allclose(_next(after, x), (edge, height, gap), atol=1e-9)
   # Nothing follows, and nothing has changed up to here.
-  assert _next(after, edge) == (np.inf, 0.0, 0.0)
+  assert _next(after, edge) == _END
   for behind in np.linspace(-6.0, x, 9):
     assert _at(after, behind) == _at(before, behind)
 
@@ -255,7 +242,7 @@ def test_levelled_on_one_side_and_as_before_on_the_other(
   before, here = _terrain(*segments), np.array([x])
   behind, ahead = np.linspace(-11.0, x, 9), np.linspace(x, 30.0, 9)
   level = terrain.levelled(before, here)
-  assert _next(level, x) == (np.inf, 0.0, 0.0)
+  assert _next(level, x) == _END
   assert level.ends[np.isfinite(level.starts)][-1] == segments[-1][1]
   np.testing.assert_array_equal(_at(level, *behind), _at(before, *behind))
   np.testing.assert_array_equal(_at(level, *ahead), _at(before, x)[0])

@@ -41,25 +41,20 @@ def _add_balls(arena: track.Track) -> list[mjcf.Element]:
 def _starts_and_heights(
   terrain: terrain_lib.Terrain,
 ) -> tuple[np.ndarray, np.ndarray]:
-  """Where to drop the balls of B tracks and how high they should rest.
+  """Where to drop the balls of a track and how high they should rest.
 
   Balls of unused segments go where the first segment's go.
 
   Returns:
-    Free joints' positions [B, S * 3, 7], and heights of their rest [B, S * 3].
+    Free joints' positions [S * 3, 7], and heights of their rest [S * 3].
   """
-  first = lambda field: np.where(
-    np.isfinite(terrain.starts), field, field[:, :1]
-  )
-  starts, ends, tops = (first(field) for field in terrain)
-  x = np.stack(
-    [starts + _FROM_END, (starts + ends) / 2, ends - _FROM_END], axis=-1
-  )
-  x = x.reshape(len(x), -1)
-  rest = np.repeat(tops, _BALLS_A_SEGMENT, axis=1) + _RADIUS
-  qpos = np.zeros((*x.shape, 7))
-  qpos[..., 0], qpos[..., 2], qpos[..., 3] = x, rest + _DROP, 1.0
-  qpos[..., 1] = np.linspace(-3, 3, x.shape[1])
+  used = np.isfinite(terrain.starts[0])
+  starts, ends, tops = (np.where(used, f[0], f[0, 0]) for f in terrain)
+  x = np.stack([starts + _FROM_END, (starts + ends) / 2, ends - _FROM_END], -1)
+  rest = np.repeat(tops, _BALLS_A_SEGMENT) + _RADIUS
+  qpos = np.zeros((x.size, 7))
+  qpos[:, 0], qpos[:, 2], qpos[:, 3] = x.ravel(), rest + _DROP, 1.0
+  qpos[:, 1] = np.linspace(-3, 3, x.size)
   return qpos, rest
 
 
@@ -164,11 +159,11 @@ def test_composer_balls_rest_on_every_segment() -> None:
     with physics.reset_context():
       arena.regenerate(physics, random_state)
       qpos, rest = _starts_and_heights(arena.terrain)
-      physics.bind(joints).qpos = qpos[0].ravel()
+      physics.bind(joints).qpos = qpos.ravel()
     centres, halves = terrain_lib.boxes(arena.terrain)
     geoms = physics.bind(arena.ground_geoms)
     np.testing.assert_allclose(geoms.xpos, centres[0])
     np.testing.assert_allclose(geoms.size, halves[0])
     mujoco.mj_step(physics.model.ptr, physics.data.ptr, nstep=_SETTLED)
     heights = np.asarray(physics.bind(joints).qpos).reshape(-1, 7)[:, 2]
-    np.testing.assert_allclose(heights, rest[0], atol=3e-3)
+    np.testing.assert_allclose(heights, rest, atol=3e-3)
