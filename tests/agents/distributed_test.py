@@ -22,7 +22,6 @@ from dmc_multimode.agents import runner
 from dmc_multimode.agents.ppo import builder
 from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.agents.ppo import rollouts as rollouts_lib
-from dmc_multimode.evaluation import episodes as evaluation_episodes
 from tests.agents import toy
 
 pytestmark = pytest.mark.usefixtures('one_thread')
@@ -53,13 +52,8 @@ class _Environment(toy.TargetEnvironment):
     return found
 
   def learn(self, outcomes: core.Outcomes) -> None:
-    columns = (
-      outcomes.initial,
-      outcomes.final,
-      outcomes.returns,
-      outcomes.causes == 0,
-    )
-    self.learned.append(np.stack(columns))
+    found = outcomes.initial, outcomes.final, outcomes.returns
+    self.learned.append(np.stack([*found, outcomes.causes == 0]))
 
   def state(self) -> dict[str, np.ndarray]:
     words = self._random_state.get_state(legacy=False)['state']
@@ -164,20 +158,6 @@ def _operations(ranks: distributed.Communicator) -> _Found:
   }
 
 
-def _evaluate(ranks: distributed.Communicator) -> evaluation_episodes.Episodes:
-  """Two ranks run three episodes, for as long as theirs last."""
-  rank = ranks.rank
-  steps = np.arange(4 + rank)[:, None, None]
-  episodes = evaluation_episodes.Episodes(
-    returns=np.arange(3.0) + 10 * rank,
-    survived=np.array([True, False, rank == 0]),
-    lengths=np.array([4, 5, 3]),
-    traces={'position': steps + np.array([[0.0], [10.0], [20.0]]) + 100 * rank},
-  )
-  mine = np.array([0, 2]) if rank == 0 else np.array([1])
-  return evaluation_episodes.of_all_ranks(episodes, mine, ranks)
-
-
 def _in_two_threads(ranks: distributed.Communicator) -> list[float]:
   """Both ranks' threads may be ahead of each other, in any order."""
   other = ranks.split()
@@ -269,7 +249,6 @@ def _rank(rank: int, port: int, path: pathlib.Path) -> None:
     found = {
       'who': (ranks.rank, ranks.size),
       'operations': _operations(ranks),
-      'evaluate': _evaluate(ranks),
       'threads': _in_two_threads(ranks),
       'all': _learn(ranks, 'all'),
       'mode': _learn(ranks, 'mode'),
@@ -329,18 +308,6 @@ def test_operations(found: list[_Found]) -> None:
   assert 'ValueError' in found[1]['operations']['from_first']['bad']
 
 
-def test_episodes_of_all_ranks(found: list[_Found]) -> None:
-  for one in found:
-    episodes = one['evaluate']
-    assert episodes.returns.tolist() == [0, 11, 2]
-    assert episodes.survived.tolist() == [True, False, True]
-    assert episodes.lengths.tolist() == [4, 5, 3]
-    position = episodes.traces['position']
-    assert position.shape == (5, 3, 1)
-    assert position[:, 1, 0].tolist() == [110, 111, 112, 113, 114]
-    assert position[:4, 2, 0].tolist() == [20, 21, 22, 23]
-
-
 def test_threads_do_not_disturb_each_other(found: list[_Found]) -> None:
   for one in found:
     assert one['threads'] == pytest.approx([30000.0, 300.0])
@@ -397,12 +364,9 @@ def test_two_go_on_bit_for_bit(found: list[_Found]) -> None:
   assert found[1]['train']['error'] == 'Rank 0 has failed.'
 
 
-def test_networks_that_have_come_apart(found: list[_Found]) -> None:
+def test_ranks_that_have_come_apart_or_are_gone(found: list[_Found]) -> None:
   for one in found:
     assert 'no longer hold the same network' in one['train']['apart']
-
-
-def test_a_rank_that_is_gone(found: list[_Found]) -> None:
   assert 'Rank 0 has lost the others' in found[0]['leave']
 
 
@@ -422,9 +386,7 @@ def test_local_operations_are_identities() -> None:
   assert distributed.from_first(alone, lambda: '') == ''
   with pytest.raises(OSError, match='absent'):
     distributed.from_first(alone, lambda: open('absent').read())
-
-
-def test_torchrun_of_one_process_is_alone() -> None:
+  # So is torchrun of one process.
   with mock.patch.dict(os.environ, WORLD_SIZE='1', RANK='0'):
     with distributed.connect() as communicator:
       assert communicator is distributed.LOCAL

@@ -38,13 +38,10 @@ def test_tracker_by_hand() -> None:
     'survival/b->a': 0.0,
   }
   assert found == pytest.approx(expected)
-
-
-def test_tracker_forgets() -> None:
   tracker = statistics.ReturnTracker(1)
   for _ in range(50):
     tracker.update(_results((0, 0, 1.0, 1)))
-  tracker.update(_results((0, 0, 0.0, 0)))
+  tracker.update(_results((0, 0, 0.0, 0)))  # It forgets.
   assert tracker.returns[0, 0] == pytest.approx(0.98)
   assert tracker.survival[0, 0] == pytest.approx(0.02)
 

@@ -46,9 +46,7 @@ def binary(tmp_path: pathlib.Path) -> Binary:
   return Binary(tmp_path)
 
 
-@pytest.mark.parametrize(
-  ('body', 'code'), [('pass', 0), ('return 0', 0), ('return 3', 3)]
-)
+@pytest.mark.parametrize(('body', 'code'), [('pass', 0), ('return 3', 3)])
 def test_return_value_is_the_exit_code(
   binary: Binary, body: str, code: int
 ) -> None:
@@ -62,7 +60,6 @@ def test_return_value_is_the_exit_code(
     ('raise ValueError("no task x")', 'error: no task x'),
     ('raise ValueError("two\\n  lines")', 'error: two lines'),
     ('raise ValueError', 'error: ValueError'),
-    ('raise FloatingPointError("loss")', 'error: loss'),
     ('open("gone.json")', 'error: No such file or directory: gone.json'),
     ('import no_such_extra', "error: No module named 'no_such_extra'"),
   ],
@@ -82,13 +79,10 @@ def test_traceback_at_debug_verbosity(binary: Binary) -> None:
   assert result.stderr.endswith('error: no task x\n')
 
 
-def test_a_bug_keeps_its_traceback(binary: Binary) -> None:
+def test_bugs_and_interrupts(binary: Binary) -> None:
   result = binary('raise TypeError("ours")')
   assert result.returncode == 1
   assert 'Traceback' in result.stderr
-
-
-def test_interrupt(binary: Binary) -> None:
   result = binary('raise KeyboardInterrupt')
   assert (result.returncode, result.stderr) == (130, 'interrupted\n')
 
@@ -154,8 +148,6 @@ def shipped(
   'args',
   [
     ['--flagfile=flags/shipped.flags'],
-    ['-flagfile=flags/shipped.flags'],
-    ['--flagfile', 'flags/shipped.flags'],
     ['-flagfile', './flags/shipped.flags'],
   ],
 )
@@ -168,31 +160,23 @@ def test_packaged_flagfile(shipped: pathlib.Path, args: list[str]) -> None:
   ]
 
 
-def test_a_path_that_exists_comes_first(shipped: pathlib.Path) -> None:
+def test_what_is_left_alone(shipped: pathlib.Path) -> None:
   del shipped
-  own = pathlib.Path('flags/shipped.flags')
+  for args in (['--flagfiles=x', '--', '--flagfile=gone'], ['--flagfile']):
+    assert app.find_flagfiles(['train', *args]) == ['train', *args]
+  own = pathlib.Path('flags/shipped.flags')  # What exists comes first.
   own.parent.mkdir()
   own.touch()
   args = ['train', '--flagfile=flags/shipped.flags']
   assert app.find_flagfiles(args) == args
 
 
-def test_other_arguments_are_left_alone(shipped: pathlib.Path) -> None:
-  del shipped
-  args = ['train', '--flagfiles=x', '--', '--flagfile=gone.flags']
-  assert app.find_flagfiles(args) == args
-  assert app.find_flagfiles(['train', '--flagfile']) == ['train', '--flagfile']
-
-
 @pytest.mark.parametrize(
   'value',
   [
     'gone.flags',
-    'flags/gone.flags',
-    'other/shipped.flags',
     'flags/../flags/shipped.flags',
     '/flags/shipped.flags',
-    '.',
   ],
 )
 def test_missing_flagfile(shipped: pathlib.Path, value: str) -> None:

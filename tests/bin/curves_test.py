@@ -66,19 +66,6 @@ def test_sampling() -> None:
   assert titles == ['initial mode', 'final mode after walk']
 
 
-def test_sampling_of_many_modes() -> None:
-  modes = 'abcdefg'
-  names = [*modes, *(f'{a}->{b}' for a in modes for b in modes)]
-  run = {'steps': np.arange(60.0)}
-  run |= {f'p/{name}': np.full(60, 1 / 7) for name in names}
-  drawn = training_figures.draw_sampling(run)
-  assert len(drawn.axes) == 8
-  assert all(len(axis.lines) == 7 for axis in drawn.axes)
-  # Means of three rows each.
-  steps, _ = _lines(drawn.axes[0])['a']
-  assert len(steps) == 58
-
-
 @pytest.fixture(scope='module')
 def binary(tmp_path_factory: pytest.TempPathFactory) -> Any:
   found = processes.Binary('curves', tmp_path_factory.mktemp('output'))
@@ -103,27 +90,20 @@ def test_command(binary: processes.Binary, tmp_path: pathlib.Path) -> None:
 @pytest.mark.parametrize(
   ('run', 'message'),
   [
-    (None, '--run=LABEL=FOLDER'),
-    ('{tmp}', 'LABEL=FOLDER'),
     ('={tmp}/good', 'LABEL=FOLDER'),
     ('a={tmp}/absent', 'does not exist'),
     ('a={tmp}/foreign', 'metrics of a run'),
-    ('a={tmp}/empty', 'metrics of a run'),
     ('a={tmp}/damaged', 'damaged'),
   ],
 )
 def test_bad_input(
-  binary: processes.Binary,
-  tmp_path: pathlib.Path,
-  run: str | None,
-  message: str,
+  binary: processes.Binary, tmp_path: pathlib.Path, run: str, message: str
 ) -> None:
   _write(tmp_path / 'good', '0,0.1,0.2,0.5,1')
   _write(tmp_path / 'foreign', '1,2', columns='x,y')
-  _write(tmp_path / 'empty')
   _write(tmp_path / 'damaged', '0,0.1,0.2,0.5,1', '100,0.3')
-  given = [] if run is None else ['--run=' + run.format(tmp=tmp_path)]
-  done = binary(*given, f'--out={tmp_path / "out"}')
+  run = run.format(tmp=tmp_path)
+  done = binary(f'--run={run}', f'--out={tmp_path / "out"}')
   assert done.code == 2, done.stderr
   assert message in done.error
   assert not (tmp_path / 'out').exists()

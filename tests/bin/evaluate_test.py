@@ -41,7 +41,7 @@ def policy(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
   return folder
 
 
-def test_report(
+def test_report_of_one_rank_and_of_two(
   evaluate: processes.Binary, policy: pathlib.Path, tmp_path: pathlib.Path
 ) -> None:
   one, two = tmp_path / 'new' / 'one.json', tmp_path / 'two.json'
@@ -49,8 +49,11 @@ def test_report(
   done = evaluate(*flags, f'--out={one}')
   assert done.code == 0, done.stderr
   assert done.stdout.splitlines()[-1] == f'The report is in {one}'
-  assert evaluate(*flags, f'--out={two}').code == 0
+  module = 'dmc_multimode.bin.evaluate'
+  shared = processes.run_ranks(module, *flags, f'--out={two}')
+  assert shared.code == 0, shared.stderr
   assert one.read_bytes() == two.read_bytes()
+  assert shared.stdout.splitlines()[:-1] == done.stdout.splitlines()[:-1]
 
   report = json.loads(one.read_text())
   assert tuple(report['modes']) == _MODES
@@ -59,8 +62,6 @@ def test_report(
   for row in report['modes'].values():
     assert {'mra', 'survival', 'velocity', 'rise'} <= row.keys()
     assert all(np.isfinite(value) for value in row.values())
-  for row in report['transitions'].values():
-    assert row.keys() == {'mra', 'survival'}
   for kind in ('modes', 'transitions'):
     values = [row['mra'] for row in report[kind].values()]
     summary = report[f'mra_{kind}']
@@ -83,19 +84,6 @@ def test_report(
   assert 'walk_forward: speed' in done.stdout
 
 
-def test_two_ranks_report_what_one_does(
-  evaluate: processes.Binary, policy: pathlib.Path, tmp_path: pathlib.Path
-) -> None:
-  flags = f'--policy={policy}', '--episodes=1'
-  one, two = tmp_path / 'one.json', tmp_path / 'two.json'
-  alone = evaluate(*flags, f'--out={one}')
-  module = 'dmc_multimode.bin.evaluate'
-  shared = processes.run_ranks(module, *flags, f'--out={two}')
-  assert (alone.code, shared.code) == (0, 0), shared.stderr
-  assert one.read_bytes() == two.read_bytes()
-  assert shared.stdout.splitlines()[:-1] == alone.stdout.splitlines()[:-1]
-
-
 def test_page_where_nothing_draws(
   evaluate: processes.Binary, policy: pathlib.Path, tmp_path: pathlib.Path
 ) -> None:
@@ -104,7 +92,9 @@ def test_page_where_nothing_draws(
     f'--policy={policy}',
     '--episodes=1',
     f'--html={page}',
-    before="os.environ['MUJOCO_GL'] = 'nothing'",
+    # As if the warm-up had not imported what reads the variable.
+    before="os.environ['MUJOCO_GL'] = 'nothing'; "
+    "sys.modules.pop('dm_control._render', None)",
   )
   done = evaluate.wait()
   assert done.code == 0, done.stderr
@@ -113,15 +103,10 @@ def test_page_where_nothing_draws(
   assert wrote == f'The page is {page}'
   assert list(page.parent.iterdir()) == [page]
   text = page.read_text()
-  for name in _MODES:
-    assert f'>{name}</th>' in text
-  for a, b in itertools.product(_MODES, _MODES):
-    assert f'>{a}-&gt;{b}</th>' in text
   assert text.count('<img ') == 3 and '<video' not in text
-  assert 'http:' not in text and 'https:' not in text
 
 
-def test_clock_rates(
+def test_clock_rates_and_figures(
   evaluate: processes.Binary, policy: pathlib.Path, tmp_path: pathlib.Path
 ) -> None:
   out, folder = tmp_path / 'report.json', tmp_path / 'figures'
@@ -147,50 +132,14 @@ def test_clock_rates(
   assert names == {'clock_rates', 'contacts', 'heights', 'sequence'}
 
 
-def test_clock_rates_where_nothing_travels(
-  evaluate: processes.Binary, tmp_path: pathlib.Path
-) -> None:
-  out, folder = tmp_path / 'report.json', tmp_path / 'figures'
-  done = evaluate(
-    *('--policy=unimodal_idle', '--episodes=1', '--clock_rates=2'),
-    *(f'--out={out}', f'--figures={folder}'),
-  )
-  assert done.code == 0, done.stderr
-  report = json.loads(out.read_text())
-  assert report['clock_rates'] == {}
-  assert report['provenance']['encoder_seed'] == 0  # It ships with its encoder.
-  assert not (folder / 'clock_rates.png').exists()
-
-
-def test_what_changes_the_figures(
-  evaluate: processes.Binary, policy: pathlib.Path, tmp_path: pathlib.Path
-) -> None:
-  reports = {}
-  for flag in ('seed=0', 'seed=1', 'physics_timestep=0.003', 'clock_rate=1.5'):
-    out = tmp_path / 'report.json'
-    done = evaluate(
-      f'--policy={policy}', '--episodes=1', f'--out={out}', f'--{flag}'
-    )
-    assert done.code == 0, done.stderr
-    reports[flag] = json.loads(out.read_text())
-  assert reports['physics_timestep=0.003']['task']['physics_timestep'] == 0.003
-  figures = [
-    report['modes']['walk_forward']['mra'] for report in reports.values()
-  ]
-  assert len(set(figures)) == len(reports)
-
-
 @pytest.mark.parametrize(
   ('flags', 'message'),
   [
     (['--policy=fly'], "'fly'"),
     (['--policy={tmp}/damaged'], 'damaged'),
-    (['--episodes=0'], 'episodes'),
     (['--physics_timestep=0.007'], 'physics_timestep'),
-    (['--clock_rate=0'], 'rates must be positive'),
     (['--clock_rates=1,0'], 'clock_rates must be positive'),
     (['--clock_rates=fast'], "'fast'"),
-    (['--out={tmp}/file/report.json'], 'file'),
     (['--html={tmp}/new/report.html', '--episodes=0'], 'episodes'),
     (['--figures={tmp}/file'], 'file'),
   ],
@@ -216,9 +165,3 @@ def test_bad_input(
   assert message in done.error
   assert not done.stdout
   assert sorted(tmp_path.rglob('*')) == before
-
-
-def test_policy_is_required(evaluate: processes.Binary) -> None:
-  done = evaluate()
-  assert done.code == 1
-  assert '--policy' in done.stderr and 'Traceback' not in done.stderr

@@ -75,31 +75,16 @@ def test_a_wrong_model_is_not_written(
   assert out.read_bytes() == b'as before'
 
 
-@pytest.mark.parametrize(
-  ('flags', 'message'),
-  [
-    (['--out=x.onnx', '--policy={tmp}/none'], 'no pretrained named'),
+def test_bad_input(binary: processes.Binary, tmp_path: pathlib.Path) -> None:
+  for flags, message in (
     ([], 'Say what to write'),
-    (['--out={tmp}'], 'is a folder'),
-  ],
-)
-def test_bad_input(
-  binary: processes.Binary,
-  tmp_path: pathlib.Path,
-  flags: list[str],
-  message: str,
-) -> None:
-  done = binary(*(flag.format(tmp=tmp_path) for flag in flags))
-  assert done.code == 2, done.stderr
-  assert message in done.error
-  assert not list(tmp_path.iterdir())
-
-
-def test_a_missing_extra_is_named(
-  binary: processes.Binary, tmp_path: pathlib.Path
-) -> None:
-  before = "import sys; sys.modules['onnx'] = None"
-  binary.start(f'--out={tmp_path}/x.onnx', before=before)
+    ([f'--out={tmp_path}'], 'is a folder'),
+  ):
+    done = binary(*flags)
+    assert done.code == 2, done.stderr
+    assert message in done.error
+  binary.start(f'--out={tmp_path}/x.onnx', before="sys.modules['onnx'] = None")
   done = binary.wait()
   assert done.code == 2
   assert 'dmc_multimode[export]' in done.error
+  assert not list(tmp_path.iterdir())

@@ -108,14 +108,8 @@ def test_goes_on_after_a_fall(
   ('flag', 'message'),
   [
     ('--policy=nobody', 'nobody'),
-    ('--policy=', '--policy'),
-    ('--schedule=fly:1', 'fly'),
     ('--schedule=idle:1', 'idle'),  # A mode, yet none of this policy's.
-    ('--schedule=walk_forward:0.001', 'control step'),
-    ('--arena=moon', 'moon'),
     ('--camera=nowhere', 'nowhere'),
-    ('--width=161', 'width'),
-    ('--slow_motion=0', 'slow_motion'),
     (f'--out={__file__}/below/video.mp4', 'record_test.py'),
   ],
 )

@@ -15,7 +15,6 @@ from dmc_multimode import pretrained
 from dmc_multimode.agents import checkpointing
 from dmc_multimode.experiments import config as run_config
 from dmc_multimode.experiments import launch as launches
-from dmc_multimode.experiments import run_folder
 from dmc_multimode.experiments import setup
 from tests.bin import processes
 from tests.bin import short_run
@@ -145,44 +144,6 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Launch:
 
 
 @pytest.mark.slow
-def test_one_rank_is_what_no_torchrun_is(tmp_path: pathlib.Path) -> None:
-  launches = [Launch(tmp_path / name) for name in ('plain', 'torchrun')]
-  started = [
-    launch.start('--threads=1', f'--steps={short_run.STEPS}', launcher=launcher)
-    for launch, launcher in zip(
-      launches, ((), processes.torchrun(1)), strict=True
-    )
-  ]
-  for process in started:
-    _finish(process)
-  plain, under = (
-    checkpointing.load_tensors(launch.run / checkpointing.NAME)
-    for launch in launches
-  )
-  _assert_equal(plain[0], under[0])
-  assert plain[1] == under[1]
-
-
-@pytest.mark.slow
-def test_two_ranks_hold_one_network(two: Launch) -> None:
-  _assert_equal(two.network(0), two.network(1))
-  tensors, values = checkpointing.load_tensors(two.run / checkpointing.NAME)
-  assert values['ranks'] == 2 and values['steps'] == short_run.STEPS
-  network = {
-    key.removeprefix('learner/network/'): value
-    for key, value in tensors.items()
-    if key.startswith('learner/network/')
-  }
-  _assert_equal(network, two.network(0))
-  worlds = [tensors[f'{p}environment/physics'] for p in ('', 'rank1/')]
-  assert len(worlds[0]) == len(worlds[1]) == 4
-  assert not torch.equal(*worlds)
-  config, _ = run_folder.RunFolder(two.run).load()
-  assert config.num_worlds == 8
-  assert pretrained.load(two.run).provenance['steps'] == short_run.STEPS
-
-
-@pytest.mark.slow
 def test_killed_rank_begins_again_and_ends_the_same(
   two: Launch, tmp_path: pathlib.Path
 ) -> None:
@@ -202,34 +163,20 @@ def test_killed_rank_begins_again_and_ends_the_same(
   finally:
     process.kill()
   assert f'Resuming at {7 * short_run.ITERATION} steps.' in stdout
-  for rank in range(2):
-    _assert_equal(launch.network(rank), two.network(0))
-  found, expected = (
-    checkpointing.load_tensors(one.run / checkpointing.NAME)[0]
+  for one in (launch, two):
+    for rank in range(2):
+      _assert_equal(one.network(rank), two.network(0))
+  (found, values), (expected, others) = (
+    checkpointing.load_tensors(one.run / checkpointing.NAME)
     for one in (launch, two)
   )
   _assert_equal(found, expected)
-
-
-@pytest.mark.slow
-def test_both_stop_when_one_is_asked(tmp_path: pathlib.Path) -> None:
-  """A signal to rank 1 alone; torchrun never hears of it."""
-  launch = Launch(tmp_path / 'stopped')
-  process = launch.start(
-    '--threads=2', '--steps=10000000', launcher=processes.torchrun(2)
-  )
-  try:
-    _wait_for((launch.run / 'metrics.csv').exists)
-    _wait_for((launch.run / 'metrics.csv').read_text)
-    children = pathlib.Path(
-      f'/proc/{process.pid}/task/{process.pid}/children'
-    ).read_text()
-    os.kill(int(children.split()[-1]), signal.SIGTERM)
-    stdout, stderr = _finish(process)
-  finally:
-    process.kill()
-  assert 'the policy is in' in stdout and 'Traceback' not in stderr
-  _assert_equal(launch.network(0), launch.network(1))
+  assert values == others
+  assert (values['ranks'], values['steps']) == (2, short_run.STEPS)
+  worlds = [found[f'{rank}environment/physics'] for rank in ('', 'rank1/')]
+  assert len(worlds[0]) == len(worlds[1]) == 4
+  assert not torch.equal(*worlds)
+  assert pretrained.load(two.run).provenance['steps'] == short_run.STEPS
 
 
 @pytest.mark.slow

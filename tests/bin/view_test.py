@@ -93,48 +93,33 @@ def test_a_click_on_launch_lands_on_the_block(
   assert (done.code, done.stderr) == (0, '')
 
 
-def test_a_port_in_use(view: processes.Binary) -> None:
+def test_bad_input(view: processes.Binary) -> None:
   with socket.create_server(('127.0.0.1', 0)) as server:
-    done = view(f'--port={server.getsockname()[1]}')
-  assert done.code == 2
-  assert 'in use' in done.error
+    for flag, message in (
+      (f'--port={server.getsockname()[1]}', 'in use'),
+      ('--arena=moat', "Unknown arena 'moat'"),
+      ('--host=192.0.2.1', 'is no address of this machine'),
+    ):
+      done = view('--port=0', flag)
+      assert done.code == 2, done.stderr
+      assert message in done.error
 
 
 @pytest.mark.parametrize(
-  ('flags', 'message'),
+  ('flag', 'before', 'message'),
   [
-    (['--policy={tmp}/none'], 'no pretrained named'),
-    (['--arena=moat'], "Unknown arena 'moat'"),
-    (['--seed=-1'], 'seed must not be negative'),
-    (['--port=65536'], 'not within 0 and 65535'),
-    (['--host=192.0.2.1'], 'is no address of this machine'),
-    (['--host=no such host'], 'is no address of this machine'),
+    (
+      '--viewer=native',
+      "[os.environ.pop(name, None) for name in ('DISPLAY', 'WAYLAND_DISPLAY')]",
+      'no display',
+    ),
+    ('--port=0', "sys.modules['viser'] = None", 'dmc_multimode[view]'),
   ],
 )
-def test_bad_input(
-  view: processes.Binary,
-  tmp_path: pathlib.Path,
-  flags: list[str],
-  message: str,
+def test_what_is_missing_is_named(
+  view: processes.Binary, flag: str, before: str, message: str
 ) -> None:
-  given = [flag.format(tmp=tmp_path) for flag in flags]
-  done = view('--port=0', *given)
-  assert done.code == 2, done.stderr
+  view.start(flag, before=f'import os, sys; {before}')
+  done = view.wait()
+  assert done.code == 2
   assert message in done.error
-
-
-def test_a_window_takes_a_display(view: processes.Binary) -> None:
-  before = 'import os; [os.environ.pop(name, None) for name in '
-  before += "('DISPLAY', 'WAYLAND_DISPLAY')]"
-  view.start('--viewer=native', before=before)
-  done = view.wait()
-  assert done.code == 2
-  assert 'no display' in done.error
-
-
-def test_a_missing_extra_is_named(view: processes.Binary) -> None:
-  before = "import sys; sys.modules['viser'] = None"
-  view.start('--port=0', before=before)
-  done = view.wait()
-  assert done.code == 2
-  assert 'dmc_multimode[view]' in done.error

@@ -113,18 +113,6 @@ def test_mean_decides_and_the_worst_is_named() -> None:
   assert finding.passed
 
 
-@pytest.mark.parametrize('speed', [0.45, 0.75])
-def test_a_walk_keeps_its_speed(speed: float) -> None:
-  motion = _MODES['walk_forward']
-  perfect = _perfect(motion)
-  finding = _findings(
-    motion,
-    perfect._replace(position=perfect.position * [speed / 0.6, 1.0, 1.0]),
-  )['speed']
-  assert finding.value == pytest.approx(speed, abs=0.01)
-  assert not finding.passed
-
-
 def test_a_squat_rises() -> None:
   """On the spot, both feet on the ground."""
   motion = dataclasses.replace(

@@ -45,12 +45,6 @@ def test_velocity_without_the_first_second() -> None:
   assert found['position_error'] == pytest.approx(errors.mean())
 
 
-def test_drift_is_the_farthest() -> None:
-  x = np.array([1.0, 1.3, 0.9, 1.1])
-  position = np.stack([x, 0 * x, 9 * x], axis=1)
-  assert gait_metrics.drift(_trace(position=position)) == pytest.approx(0.3)
-
-
 def test_heights_by_cycle() -> None:
   # Two cycles of five steps, and two steps of a third that does not count.
   z = [1.5, 1.4, 1.7, 1.6, 1.5, 1.5, 1.3, 1.8, 1.5, 1.5, 9.0, 1.5]
@@ -148,11 +142,3 @@ def test_what_follows_the_end_does_not_count() -> None:
 def test_shortest_episodes(length: int) -> None:
   trace = _trace(position=np.zeros((length, 3)))
   assert np.isfinite(list(gait_metrics.metrics(trace).values())).all()
-
-
-@pytest.mark.parametrize(
-  ('flags', 'expected'),
-  [([], 0), ([0, 0], 0), ([1, 1], 2), ([0, 1, 0, 1, 1, 1, 0, 1, 1], 3)],
-)
-def test_longest_run(flags: list[int], expected: int) -> None:
-  assert gait_metrics.longest_run(np.array(flags, dtype=bool)) == expected

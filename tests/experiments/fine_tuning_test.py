@@ -13,14 +13,12 @@ from dmc_multimode.experiments import config as run_config
 from dmc_multimode.experiments import fine_tuning
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
-from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.utils import resources
 from dmc_multimode.utils import schedule
 from tests.bin import untrained
 
 _SQUAT = pathlib.Path(__file__).parents[2] / 'docs' / 'squat.yaml'
-_FOREVER = 10**12  # Control steps.
 
 
 @pytest.fixture(scope='module')
@@ -183,10 +181,3 @@ def test_encoder_of_another_policy(folder: pathlib.Path) -> None:
   )
   with pytest.raises(ValueError, match='not the one that the latents'):
     other.encode(other.policy.mode_set.motions)
-
-
-def test_shipped_squat() -> None:
-  (motion,) = mode_files.load(_SQUAT)
-  assert motion.kind == motion_lib.PERIODIC
-  assert motion.contacts is not None and motion.contacts.all()
-  assert np.ptp(motion.positions[:, 2]) == pytest.approx(0.13)

@@ -90,25 +90,6 @@ def test_damaged_configuration(
     run_folder.RunFolder(tmp_path).load()
 
 
-@pytest.mark.parametrize(
-  ('part', 'name', 'value', 'message'),
-  [
-    ('ppo', 'clip', '0.2', 'ppo.clip: .*valid number'),
-    ('ppo', 'epochs', 2.5, 'ppo.epochs: .*valid integer'),
-    ('sampling', 'adaptive', 0, 'sampling.adaptive: .*valid boolean'),
-    ('task', 'time_limit', None, 'task.time_limit: .*valid number'),
-    ('task', 'more', 1, 'task.more: '),
-  ],
-)
-def test_values_of_another_type(
-  part: str, name: str, value: Any, message: str
-) -> None:
-  values = run_config.to_dict(run_config.RunConfig())
-  values[part][name] = value
-  with pytest.raises(ValueError, match=message):
-    run_config.from_dict(values)
-
-
 def test_configuration_is_of_a_sane_size(tmp_path: pathlib.Path) -> None:
   with open(tmp_path / run_folder.CONFIG_FILE, 'wb') as file:
     file.truncate(65 << 20)

@@ -167,18 +167,6 @@ def test_mirror_image_of_privileged_parts_by_hand(mirrored: _Mirrored) -> None:
   assert torch.equal(image[0, 2:6], latents[0])
 
 
-def test_mirror_image_without_privileged_parts(mirrored: _Mirrored) -> None:
-  environment = mirrored.environment
-  image = task_symmetry.mirror_image(environment.mode_set)
-  assert image.commands == (2,)
-  assert mirrored.image.commands == (2, 43)
-  plain = symmetry.Mirror(image, environment.mode_set.latents)
-  seen = torch.from_numpy(environment.reset())
-  assert torch.equal(
-    plain.observations(seen[:, :37]), mirrored.mirror.observations(seen)[:, :37]
-  )
-
-
 def test_mirrored_physics_are_the_same(mirrored: _Mirrored) -> None:
   mirrored.environment.reset()
   for _ in range(7):

@@ -2,7 +2,6 @@
 
 import json
 import pathlib
-import pickle
 from typing import Any, Callable
 
 import numpy as np
@@ -86,7 +85,7 @@ def test_round_trip(folder: pathlib.Path) -> None:
   policy = _policy()
   names = {path.name for path in folder.iterdir()}
   assert names == {policy_lib.WEIGHTS_FILE, policy_lib.DESCRIPTION_FILE}
-  loaded = pretrained.load(folder)
+  loaded = pretrained.load(str(folder.parent))  # The folder of a run, too.
   assert loaded.hidden_sizes == (16, 8)
   assert loaded.config == policy.config
   assert loaded.mode_set.names == _MODES
@@ -96,18 +95,10 @@ def test_round_trip(folder: pathlib.Path) -> None:
   for one, other in zip(
     loaded.mode_set.motions, policy.mode_set.motions, strict=True
   ):
-    assert one.name == other.name
     np.testing.assert_array_equal(one.positions, other.positions)
   assert loaded.provenance['run'] == {'seed': 3}
   assert {'steps', 'mujoco', 'torch'} <= loaded.provenance.keys()
   assert loaded.metrics == {}
-  expected = policy.network.state_dict()
-  for key, value in loaded.network.state_dict().items():
-    assert torch.equal(value, expected[key]), key
-
-
-def test_acts_as_before(folder: pathlib.Path) -> None:
-  policy, loaded = _policy(), pretrained.load(folder)
   seen = np.random.RandomState(0).randn(5, _SIZE).astype(np.float32)
   expected = policy.select_action(seen)
   assert expected.shape == (5, observations.NUM_JOINTS)
@@ -123,22 +114,24 @@ def test_acts_as_before(folder: pathlib.Path) -> None:
 
 def test_privileged_critic(folder: pathlib.Path) -> None:
   policy = _policy(privileged_size=9)
-  policy.save(folder)
+  policy.save(folder)  # Over what is there.
+  assert len(list(folder.iterdir())) == 2
   loaded = pretrained.load(folder)
   assert loaded.network.privileged_size == 9
   expected = policy.network.state_dict()
   for key, value in loaded.network.state_dict().items():
     assert torch.equal(value, expected[key]), key
-  seen = torch.randn(5, _SIZE + 9)
-  values = loaded.network.values(loaded.network.normaliser(seen))
-  known = policy.network.values(policy.network.normaliser(seen))
-  assert torch.equal(values, known)
   # To act, nobody needs what only the value sees.
-  action = loaded.select_action(seen[:, :_SIZE].numpy())
-  np.testing.assert_array_equal(action, policy.select_action(seen.numpy()))
+  seen = np.random.RandomState(0).randn(5, _SIZE + 9).astype(np.float32)
+  action = loaded.select_action(seen[:, :_SIZE])
+  np.testing.assert_array_equal(action, policy.select_action(seen))
+  _edit(folder, privileged_size=2)
+  assert 'another network' in _refused(folder)
+  _edit(folder, privileged_size=_ABSENT)
+  assert 'another network' in _refused(folder)
 
 
-@pytest.mark.parametrize('activation', ['elu', 'silu', 'tanh'])
+@pytest.mark.parametrize('activation', ['elu', 'silu'])
 def test_activation(folder: pathlib.Path, activation: str) -> None:
   policy = _policy(activation=activation)
   policy.save(folder)
@@ -148,8 +141,7 @@ def test_activation(folder: pathlib.Path, activation: str) -> None:
   expected = policy.select_action(seen)
   np.testing.assert_array_equal(loaded.select_action(seen), expected)
   # The weights alone do not tell which it was.
-  other = {'elu': 'tanh', 'silu': 'elu', 'tanh': 'elu'}[activation]
-  _edit(folder, activation=other)
+  _edit(folder, activation='tanh')
   found = pretrained.load(folder).select_action(seen)
   assert not np.allclose(found, expected)
 
@@ -164,40 +156,11 @@ def test_description_of_an_earlier_version(folder: pathlib.Path) -> None:
   assert (network.privileged_size, network.activation) == (0, 'elu')
 
 
-def test_weights_of_another_privileged_size(folder: pathlib.Path) -> None:
-  _edit(folder, privileged_size=2)
-  assert 'another network' in _refused(folder)
-  _policy(privileged_size=9).save(folder)
-  _edit(folder, privileged_size=_ABSENT)
-  assert 'another network' in _refused(folder)
-
-
-def test_shipped_policy_loads() -> None:
-  policy = pretrained.load('quickstart')
-  size = observations.size(policy.mode_set.latent_dim)
-  assert policy.network.observation_size == size
-  seen = np.zeros((3, size), np.float32)
-  assert policy.select_action(seen).shape == (3, observations.NUM_JOINTS)
-
-
-def test_folder_of_a_run(folder: pathlib.Path) -> None:
-  assert pretrained.load(str(folder.parent)).mode_set.names == _MODES
-
-
 def test_metrics(folder: pathlib.Path) -> None:
   (folder / policy_lib.METRICS_FILE).write_text('{"mra": 0.9}')
   assert pretrained.load(folder).metrics == {'mra': 0.9}
   (folder / policy_lib.METRICS_FILE).write_text('[0.9]')
   assert policy_lib.METRICS_FILE in _refused(folder)
-
-
-def test_saved_again_in_place(folder: pathlib.Path) -> None:
-  policy = _policy()
-  with torch.no_grad():
-    policy.network.log_std.fill_(-1.5)
-  policy.save(folder)
-  assert (pretrained.load(folder).network.log_std == -1.5).all()
-  assert len(list(folder.iterdir())) == 2
 
 
 @pytest.mark.parametrize('name', ['fly', '../policy', 'library', ''])
@@ -223,7 +186,7 @@ def test_missing_folder_or_files(
 # Weights.
 
 
-@pytest.mark.parametrize('kept', [0, 7, 500, -1])
+@pytest.mark.parametrize('kept', [0, -1])
 def test_truncated_weights(folder: pathlib.Path, kept: int) -> None:
   path = _weights(folder)
   path.write_bytes(path.read_bytes()[:kept])
@@ -243,13 +206,10 @@ def test_checkpoint_in_place_of_the_weights(folder: pathlib.Path) -> None:
   assert 'does not hold the weights of a policy' in _refused(folder)
 
 
-@pytest.mark.parametrize('value', [np.nan, np.inf])
 @pytest.mark.parametrize('key', ['policy.0.bias', 'normaliser.mean'])
-def test_weights_that_are_not_finite(
-  folder: pathlib.Path, key: str, value: float
-) -> None:
+def test_weights_that_are_not_finite(folder: pathlib.Path, key: str) -> None:
   weights, metadata = checkpointing.load_tensors(_weights(folder))
-  weights[key][1] = value
+  weights[key][1] = np.nan
   checkpointing.save_tensors(_weights(folder), weights, metadata)
   assert 'not finite' in _refused(folder)
 
@@ -271,39 +231,8 @@ def test_weights_of_another_network(folder: pathlib.Path, change: str) -> None:
 # The description.
 
 
-class _Planted:
-  def __init__(self, mark: pathlib.Path) -> None:
-    self._mark = mark
-
-  def __reduce__(self) -> tuple[Any, ...]:
-    return pathlib.Path.touch, (self._mark,)
-
-
-@pytest.mark.parametrize('find', [_weights, _description])
-@pytest.mark.parametrize('dump', [pickle.dump, torch.save])
-def test_pickle_is_not_run(
-  folder: pathlib.Path,
-  find: Callable[[pathlib.Path], pathlib.Path],
-  dump: Callable[..., None],
-) -> None:
-  mark = folder / 'ran'
-  with open(find(folder), 'wb') as file:
-    dump(_Planted(mark), file)
-  assert find(folder).name in _refused(folder)
-  assert not mark.exists()
-
-
-@pytest.mark.parametrize(
-  'latents',
-  [
-    [[0.1, -1.0], [0.3, 0.5]],
-    [[0.1, -1.0, 2.0, 0.0], [0.3, 0.5, 0.0, 1.0]],
-  ],
-)
-def test_wrong_latent_size(
-  folder: pathlib.Path, latents: list[list[float]]
-) -> None:
-  _edit(folder, latents=latents)
+def test_wrong_latent_size(folder: pathlib.Path) -> None:
+  _edit(folder, latents=[[0.1, -1.0], [0.3, 0.5]])
   message = _refused(folder)
   assert 'policy.0.weight' in message or 'normaliser' in message
   assert 'other latents' in message
@@ -313,39 +242,23 @@ def test_wrong_latent_size(
   ('changes', 'message'),
   [
     ({'latents': [[0.1, -1.0, 2.0]]}, '2 modes'),
-    ({'latents': [[0.1, -1.0, 2.0], [0.3]]}, 'damaged'),
     ({'latents': [[0.1, -1.0, 2.0], [0.3, 0.5, float('nan')]]}, 'finite'),
     ({'latents': 'abc'}, 'damaged'),
-    ({'latents': _ABSENT}, "'latents'"),
     ({'modes': _ABSENT}, "'modes'"),
     ({'modes': []}, 'at least one mode'),
     ({'modes': ['idle', 'walk_forward']}, 'damaged'),
-    ({'modes': 3}, 'damaged'),
-    ({'task': _ABSENT}, "'task'"),
     ({'task': {}}, 'task configuration'),
-    ({'task': 3}, 'damaged'),
-    ({'hidden_sizes': _ABSENT}, "'hidden_sizes'"),
     ({'hidden_sizes': []}, 'out of bounds'),
     ({'hidden_sizes': [16, 0]}, 'out of bounds'),
-    ({'hidden_sizes': [16, -8]}, 'out of bounds'),
-    ({'hidden_sizes': [10**6]}, 'out of bounds'),
     ({'hidden_sizes': [10**300, 8]}, 'out of bounds'),
     ({'hidden_sizes': [4] * 9}, 'out of bounds'),
     ({'hidden_sizes': [4096, 4096]}, 'another network'),
     ({'hidden_sizes': [float('inf')]}, 'damaged'),
-    ({'hidden_sizes': ['wide']}, 'damaged'),
-    ({'hidden_sizes': 16}, 'damaged'),
     ({'activation': 'relu'}, 'unknown'),
-    ({'activation': None}, 'unknown'),
     ({'activation': ['elu']}, 'damaged'),
     ({'privileged_size': -1}, 'out of bounds'),
     ({'privileged_size': 4097}, 'out of bounds'),
-    ({'privileged_size': 10**300}, 'out of bounds'),
     ({'privileged_size': float('inf')}, 'damaged'),
-    ({'privileged_size': float('nan')}, 'damaged'),
-    ({'privileged_size': 'many'}, 'damaged'),
-    ({'privileged_size': None}, 'damaged'),
-    ({'privileged_size': [3]}, 'damaged'),
     ({'provenance': [1]}, 'damaged'),
     ({'format': _ABSENT}, 'not a policy of this version'),
     ({'format': 'dmc_multimode.policy.99'}, 'not a policy of this version'),
@@ -358,18 +271,10 @@ def test_damaged_field(
   assert message in _refused(folder)
 
 
-@pytest.mark.parametrize(
-  'text', ['', '{"format"', '[]', '3', '[' * 100_000, '{"a": ' * 100_000]
-)
+@pytest.mark.parametrize('text', ['', '{"format"', '[]', '[' * 100_000])
 def test_damaged_json(folder: pathlib.Path, text: str) -> None:
   _description(folder).write_text(text)
   assert policy_lib.DESCRIPTION_FILE in _refused(folder)
-
-
-def test_truncated_json(folder: pathlib.Path) -> None:
-  path = _description(folder)
-  path.write_bytes(path.read_bytes()[:-10])
-  assert 'damaged' in _refused(folder)
 
 
 @pytest.mark.parametrize('find', [_weights, _description])

@@ -44,8 +44,6 @@ def test_mp4(tmp_path: pathlib.Path, rate: float) -> None:
   ('rate', 'count', 'kept', 'seconds'),
   [
     (1 / 0.03, 31, range(0, 31, 3), 0.93),  # The rate of the control steps.
-    (0.25 / 0.03, 10, range(10), 1.2),
-    (30.0, 30, range(0, 30, 3), 1.0),
     (7.0, 14, range(14), 2.0),  # Periods that are no whole ticks.
   ],
 )
@@ -79,12 +77,7 @@ def test_a_failure_leaves_what_was_there(
       for i in range(count):
         append(_frame(i))
       raise KeyboardInterrupt
+  with pytest.raises(ValueError, match='no frame'):
+    _write(path, 30.0, 0)
   assert list(tmp_path.iterdir()) == [path]
   assert path.read_text() == 'as before'
-
-
-@pytest.mark.parametrize('name', ['video.mp4', 'video.gif'])
-def test_no_frame_is_no_video(tmp_path: pathlib.Path, name: str) -> None:
-  with pytest.raises(ValueError, match='no frame'):
-    _write(tmp_path / name, 30.0, 0)
-  assert not list(tmp_path.iterdir())

@@ -1,7 +1,5 @@
 """Tests of dmc_multimode.agents.ppo.losses, and of Gaussians."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 import torch
@@ -45,57 +43,9 @@ def test_advantages_by_hand(
   assert tuple(found[:, 0].tolist()) == expected
 
 
-def _by_returns(
-  rewards: np.ndarray,
-  values: np.ndarray,
-  next_values: np.ndarray,
-  discounts: np.ndarray,
-  last: np.ndarray,
-  gae_lambda: float,
-) -> np.ndarray:
-  """GAE by its definition: a geometric mean of n-step returns, [T] each."""
-  advantages = np.empty_like(values)
-  for t in range(len(values)):
-    ends = np.flatnonzero(last[t:])
-    steps = ends[0] + 1 if len(ends) else len(values) - t
-    returns = []
-    for n in range(1, steps + 1):
-      factors = np.concatenate([[1.0], np.cumprod(discounts[t : t + n])])
-      returns.append(
-        np.sum(factors[:-1] * rewards[t : t + n])
-        + factors[-1] * next_values[t + n - 1]
-      )
-    weights = (1 - gae_lambda) * gae_lambda ** np.arange(steps)
-    weights[-1] = gae_lambda ** (steps - 1)
-    advantages[t] = np.dot(weights, returns) - values[t]
-  return advantages
-
-
-@pytest.mark.parametrize('gae_lambda', [0.0, 0.3, 0.95, 1.0])
-def test_advantages_are_means_of_n_step_returns(gae_lambda: float) -> None:
-  rng = np.random.RandomState(0)
-  shape = (24, 40)
-  rewards, values, next_values = rng.standard_normal((3, *shape))
-  last = rng.uniform(size=shape) < 0.2
-  terminated = last & (rng.uniform(size=shape) < 0.5)
-  discounts = 0.97 * ~terminated
-  # Within an episode the value after a step is the one before the next.
-  next_values[:-1] = np.where(last[:-1], next_values[:-1], values[1:])
-  fields = (rewards, values, next_values, discounts, last)
-  compute: Any = losses.generalised_advantages
-  by_returns: Any = _by_returns
-  found = compute(*map(torch.from_numpy, fields), gae_lambda)
-  for world in range(shape[1]):
-    expected = by_returns(*(f[:, world] for f in fields), gae_lambda)
-    np.testing.assert_allclose(found[:, world], expected, atol=1e-12)
-
-
-def test_normalised_by_hand() -> None:
+def test_advantages_are_normalised_over_all_or_by_group() -> None:
   found = losses.normalised(torch.tensor([1.0, 2.0, 3.0]))
   torch.testing.assert_close(found, torch.tensor([-1.0, 0.0, 1.0]))
-
-
-def test_each_group_is_normalised_by_itself() -> None:
   advantages = torch.tensor([1.0, 40.0, 2.0, 20.0, 3.0, 7.0])
   kept = advantages.clone()
   groups = torch.tensor([5, 0, 5, 0, 5, 2])
@@ -106,11 +56,8 @@ def test_each_group_is_normalised_by_itself() -> None:
   expected = torch.tensor([-1.0, half, 0.0, -half, 1.0, 0.0])
   torch.testing.assert_close(found, expected)
   assert torch.equal(advantages, kept)
-
-
-def test_equal_advantages_stay_finite() -> None:
-  for groups in (None, torch.tensor([0, 0, 1, 1])):
-    found = losses.normalised(torch.full((4,), 7.0), groups)
+  for same in (None, torch.tensor([0, 0, 1, 1])):  # Which stay finite.
+    found = losses.normalised(torch.full((4,), 7.0), same)
     torch.testing.assert_close(found, torch.zeros(4))
 
 

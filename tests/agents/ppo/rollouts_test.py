@@ -1,24 +1,20 @@
 """Tests of dmc_multimode.agents.ppo.rollouts."""
 
 import dataclasses
-from unittest import mock
 
 import numpy as np
 import pytest
 import torch
 
-from dmc_multimode.agents import runner
-from dmc_multimode.agents.ppo import acting
 from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.agents.ppo import learning
 from dmc_multimode.agents.ppo import networks
 from dmc_multimode.agents.ppo import rollouts as rollouts_lib
-from tests.agents import toy
+from tests.agents.ppo import random_data
 
 pytestmark = pytest.mark.usefixtures('one_thread')
 
-_T, _B, _D, _A = 4, 8, 3, 2
-_CONFIG = ppo_config.PPOConfig(hidden_sizes=(16,), rollout_length=_T)
+_CONFIG = random_data.CONFIG
 _LATENTS = torch.tensor([-1.0, 1.0, 0.0])
 
 
@@ -40,45 +36,6 @@ def _mirror(
   return image, -actions
 
 
-def _network(
-  config: ppo_config.PPOConfig = _CONFIG, privileged_size: int = 0
-) -> networks.ActorCritic:
-  """Of observations of _D numbers, of which the last may be privileged."""
-  torch.manual_seed(0)
-  return networks.ActorCritic(
-    _D - privileged_size,
-    _A,
-    config.hidden_sizes,
-    config.initial_std,
-    privileged_size=privileged_size,
-    activation=config.activation,
-  )
-
-
-def _rollouts(
-  network: networks.ActorCritic, seed: int = 0
-) -> rollouts_lib.Rollouts:
-  """Random observations and rewards, and the network's own actions."""
-  generator = torch.Generator().manual_seed(seed)
-  draw = lambda *shape: torch.randn(_T, _B, *shape, generator=generator)
-  observations, noise = draw(_D), draw(_A)
-  with torch.no_grad():
-    means = network.act(observations)
-    actions = means + network.std * noise
-    log_probs = networks.log_prob(actions, means, network.std)
-  last = torch.rand(_T, _B, generator=generator) < 0.3
-  return rollouts_lib.Rollouts(
-    observations=observations,
-    actions=actions,
-    log_probs=log_probs,
-    means=means,
-    rewards=draw(),
-    discounts=1.0 - (last & (draw() > 0)).float(),
-    last=last,
-    next_observations=draw(_D),
-  )
-
-
 # Ends of episodes: targets are values plus advantages.
 
 
@@ -89,14 +46,14 @@ def _expected_advantages(
   """Generalised advantages by a plain loop, in float64, [T, B]."""
   gamma, flow = _CONFIG.discount, _CONFIG.gae_lambda
   value = lambda seen: network.values(network.normaliser(seen)).item()
-  found = np.empty((_T, _B))
-  for world in range(_B):
+  found = np.empty((random_data.T, random_data.B))
+  for world in range(random_data.B):
     running = 0.0
-    for t in reversed(range(_T)):
+    for t in reversed(range(random_data.T)):
       ended = bool(data.last[t, world])
       seen_next = (
         data.next_observations[t, world]
-        if ended or t == _T - 1
+        if ended or t == random_data.T - 1
         else data.observations[t + 1, world]
       )
       discount = gamma * data.discounts[t, world].item()
@@ -115,15 +72,17 @@ def _advantages(
   network: networks.ActorCritic, data: rollouts_lib.Rollouts
 ) -> torch.Tensor:
   samples = rollouts_lib.SampleMaker(network, _CONFIG).make(data)
-  return (samples.targets - network.values(samples.observations)).view(_T, _B)
+  return (samples.targets - network.values(samples.observations)).view(
+    random_data.T, random_data.B
+  )
 
 
 @pytest.mark.parametrize('privileged_size', [0, 1])
 def test_timeouts_are_bootstrapped_from_what_was_seen_last(
   privileged_size: int,
 ) -> None:
-  network = _network(privileged_size=privileged_size)
-  data = _rollouts(network)
+  network = random_data.network(privileged_size=privileged_size)
+  data = random_data.rollouts(network)
   timed_out = data.last & (data.discounts > 0)
   assert timed_out[:-1].any() and (data.last & ~timed_out).any()
   expected = _expected_advantages(network, data)
@@ -133,11 +92,13 @@ def test_timeouts_are_bootstrapped_from_what_was_seen_last(
   def changed(where: torch.Tensor) -> bool:
     seen = data.next_observations.clone()
     seen[where] += 3.0
-    seen[where, : _D - privileged_size] -= 3.0 * (privileged_size > 0)
+    seen[where, : random_data.D - privileged_size] -= 3.0 * (
+      privileged_size > 0
+    )
     other = _advantages(network, data._replace(next_observations=seen))
     return not torch.equal(other, found)
 
-  inner = torch.arange(_T)[:, None] < _T - 1
+  inner = torch.arange(random_data.T)[:, None] < random_data.T - 1
   assert changed(timed_out & inner)
   assert not changed(data.last & ~timed_out)
   assert not changed(~data.last & inner)  # There it is the next observation.
@@ -148,8 +109,8 @@ def test_policy_learns_nothing_from_actions_that_were_not_drawn(
   is_deterministic: bool,
 ) -> None:
   config = dataclasses.replace(_CONFIG, entropy_coefficient=0.0)
-  network = _network()
-  data = _rollouts(network)
+  network = random_data.network()
+  data = random_data.rollouts(network)
   if is_deterministic:
     data = data._replace(actions=data.means)
   policy, value = (
@@ -167,17 +128,20 @@ def test_policy_learns_nothing_from_actions_that_were_not_drawn(
 # Modes and mirror images.
 
 
-@pytest.mark.parametrize('kind', ['augment', 'alternate'])
-def test_symmetry_needs_a_mirror(kind: str) -> None:
-  config = dataclasses.replace(_CONFIG, symmetry=kind)
-  with pytest.raises(ValueError, match='mirror'):
-    rollouts_lib.SampleMaker(_network(), config)
-
-
-def test_advantages_by_mode_need_the_modes() -> None:
-  config = dataclasses.replace(_CONFIG, advantages='mode')
-  with pytest.raises(ValueError, match='latents of the modes'):
-    rollouts_lib.SampleMaker(_network(), config)
+@pytest.mark.parametrize(
+  ('changes', 'message'),
+  [
+    ({'symmetry': 'augment'}, 'mirror'),
+    ({'symmetry': 'alternate'}, 'mirror'),
+    ({'advantages': 'mode'}, 'latents of the modes'),
+  ],
+)
+def test_mirror_and_modes_are_needed(
+  changes: dict[str, str], message: str
+) -> None:
+  config = dataclasses.replace(_CONFIG, **changes)  # type: ignore[arg-type]
+  with pytest.raises(ValueError, match=message):
+    rollouts_lib.SampleMaker(random_data.network(), config)
 
 
 def _commanded_rollouts(
@@ -278,77 +242,3 @@ def test_other_passes_show_everything(kind: str) -> None:
   for each in (first, second):
     np.testing.assert_array_equal(np.sort(each), np.arange(30))
   assert (first != second).any()
-
-
-def _only_left(rng: np.random.RandomState, count: int) -> np.ndarray:
-  """The first mode alone, with positive x."""
-  clock = rng.uniform(-1, 1, (count, 2))
-  x = rng.uniform(0.5, 1.0, (count, 1))
-  return np.concatenate([clock, -np.ones((count, 1)), x], axis=1)
-
-
-@pytest.mark.parametrize('kind', ppo_config.SYMMETRIES)
-def test_mirror_images_teach_the_other_side(kind: str) -> None:
-  target = lambda seen: np.full((len(seen), 1), 0.4)
-  environment = toy.TargetEnvironment(16, target, _only_left)
-  config = dataclasses.replace(
-    _CONFIG,
-    rollout_length=16,
-    minibatches=2,
-    learning_rate=2e-3,
-    target_kl=0.03,
-    symmetry=kind,
-    # The toy's symmetry is that of odd functions: tanh has it untaught.
-    activation='elu',
-  )
-  loop = toy.loop(environment, config, _mirror)
-  loop.run(runner.TrainingConfig(steps=40 * 16 * 16), mock.Mock(), mock.Mock())
-  network = loop.network
-  seen = torch.from_numpy(environment.reset())
-  with torch.no_grad():
-    here = network.act(seen)
-    image, _ = _mirror(seen, here)
-    there = -network.act(image)
-  assert (here - 0.4).abs().mean() < 0.15
-  error = (there - 0.4).abs().mean()
-  assert (error < 0.15) == (kind != 'none')
-
-
-@pytest.mark.parametrize('kind', ['none', 'augment'])
-def test_augmented_gradient_is_symmetric(kind: str) -> None:
-  """A policy that is symmetric stays so, whatever it is taught."""
-  config = dataclasses.replace(_CONFIG, symmetry=kind, minibatches=1, epochs=1)
-  network = networks.ActorCritic(4, 1, (8,))
-  first, second = networks.linears_of(network.policy)
-  with torch.no_grad():
-    # Units in pairs of opposite signs, and no biases: an odd function of x.
-    first.weight.zero_()
-    first.weight[:, 3] = torch.linspace(-1, 1, 8)
-    second.weight[:] = torch.linspace(-1, 1, 8)
-    second.bias.zero_()
-  draw = lambda rng, count: _only_left(rng, count)
-  environment = toy.TargetEnvironment(64, lambda seen: seen[:, 3:], draw)
-  seen = torch.from_numpy(environment.reset())
-  sample = acting.BatchedActor(network, 0).sample(seen)
-  step = environment.step(sample.action.numpy())
-  flags = torch.ones(1, 64, dtype=torch.bool)
-  data = rollouts_lib.Rollouts(
-    seen[None],
-    sample.action[None],
-    sample.log_prob[None],
-    sample.mean[None],
-    torch.from_numpy(step.reward).float()[None],
-    torch.ones(1, 64),
-    flags,
-    seen[None],
-  )
-  learning.PPOLearner(network, config, 0, _mirror).step(data, 0)
-  # The running mean is that of the samples alone: it is not symmetric.
-  identity = networks.Normaliser(4).state_dict()
-  network.normaliser.load_state_dict(identity)
-  with torch.no_grad():
-    moved = network.act(seen) - sample.mean
-    image = -network.act(_mirror(seen, sample.mean)[0])
-  assert moved.abs().mean() > 1e-3
-  difference = (network.act(seen) - image).abs().max().item()
-  assert (difference < 1e-4) == (kind == 'augment')

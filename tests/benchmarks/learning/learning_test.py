@@ -148,11 +148,6 @@ def test_all_have_networks_and_hyperparameters_alike() -> None:
     np.testing.assert_allclose(std.detach(), _PPO.initial_std, rtol=1e-6)
 
 
-def test_unknown_learner() -> None:
-  with pytest.raises(ValueError, match='ours, rsl_rl, sb3'):
-    learners.make('cleanrl', _config())
-
-
 def test_timing_leaves_no_trace() -> None:
   class Sleeper:
     def sleep(self, fail: bool = False) -> str:
@@ -225,11 +220,8 @@ def test_report(benchmark: processes.Binary, tmp_path: pathlib.Path) -> None:
   ('flags', 'message'),
   [
     (['--learners=ours,cleanrl'], 'cleanrl'),
-    (['--learners='], '--learners'),
     (['--steps=100', '--eval_steps=200'], '--eval_steps'),
-    (['--eval_steps=many'], '--eval_steps'),
   ],
-  ids=['cleanrl', 'none', 'too late', 'no number'],
 )
 def test_bad_input(
   benchmark: processes.Binary, flags: list[str], message: str

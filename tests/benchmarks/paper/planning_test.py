@@ -43,29 +43,6 @@ def test_report(benchmark: processes.Binary, tmp_path: pathlib.Path) -> None:
   assert starts[0] != starts[1]  # The seeds are two starts.
 
 
-def test_two_ranks_find_what_one_does(
-  benchmark: processes.Binary, tmp_path: pathlib.Path
-) -> None:
-  flags = (
-    '--policy=quickstart',
-    '--planners=beam',
-    '--beams=1',
-    '--seeds=1',
-    '--random=0',
-  )
-  one, two = tmp_path / 'one.json', tmp_path / 'two.json'
-  alone = benchmark(*flags, f'--out={one}')
-  module = 'benchmarks.paper.planning'
-  shared = processes.run_ranks(module, *flags, f'--out={two}')
-  assert (alone.code, shared.code) == (0, 0), shared.stderr
-  expected, found = (json.loads(path.read_text()) for path in (one, two))
-  assert len(expected['plans']) == 3
-  for theirs, ours in zip(expected['plans'], found['plans'], strict=True):
-    assert ours.pop('solve_seconds') > 0 < theirs.pop('solve_seconds')
-    assert ours == theirs
-  assert shared.stdout.count('gap_block') == 1
-
-
 def test_unknown_planner(benchmark: processes.Binary) -> None:
   done = benchmark('--planners=beam,guess')
   assert done.code == 2, done.stderr
