@@ -5,6 +5,7 @@ import csv
 import io
 import pathlib
 import secrets
+import threading
 from typing import Any, Iterator, Mapping, Protocol, Sequence
 
 import tqdm
@@ -124,8 +125,16 @@ class TensorBoardLogger:
 
     self._path = directory
     purge = resume_from + 1 if resume_from else None
+    others = set(threading.enumerate())
     with _named_errors(directory):
       self._writer = tensorboard.SummaryWriter(str(directory), purge_step=purge)
+    # What goes wrong in its thread is raised by `flush`; there it would be
+    # printed as well, with a traceback.
+    self._excepthook = threading.excepthook
+    own = set(threading.enumerate()) - others
+    threading.excepthook = lambda args: (
+      None if args.thread in own else self._excepthook(args)
+    )
 
   def write(self, values: Values) -> None:
     """See `Logger`."""
@@ -139,8 +148,11 @@ class TensorBoardLogger:
 
   def close(self) -> None:
     """See `Logger`."""
-    with _named_errors(self._path):
-      self._writer.close()
+    try:
+      with _named_errors(self._path):
+        self._writer.close()
+    finally:
+      threading.excepthook = self._excepthook
 
 
 def check_wandb() -> None:

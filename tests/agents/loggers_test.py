@@ -6,6 +6,7 @@ import errno
 import io
 import pathlib
 import sys
+import threading
 import types
 from typing import Any
 
@@ -64,7 +65,11 @@ def test_tensorboard_of_a_resumed_run(tmp_path: pathlib.Path) -> None:
 
 
 @pytest.mark.parametrize('kind', ['csv', 'tensorboard'])
-def test_a_full_disk_is_named(tmp_path: pathlib.Path, kind: str) -> None:
+def test_a_full_disk_is_told_once(
+  tmp_path: pathlib.Path, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  printed: list[Any] = []  # By TensorBoard's thread, besides what is raised.
+  monkeypatch.setattr(threading, 'excepthook', printed.append)
   logger: Any
   full = open('/dev/full', 'wb')
   if kind == 'csv':
@@ -78,6 +83,7 @@ def test_a_full_disk_is_named(tmp_path: pathlib.Path, kind: str) -> None:
     logger.write({'steps': 10, 'a': 1.0})
     logger.write({'steps': 20, 'a': 1.0})  # It may take until then.
   assert error.value.errno == errno.ENOSPC
+  assert not printed
 
 
 class _FakeWandb(types.ModuleType):
