@@ -133,41 +133,44 @@ def test_soles_are_where_they_should_be(
     np.testing.assert_allclose(velocity[3:], moved, atol=1e-5)
 
 
-class TestStepping:
-  _LEFT = np.array([[True, False]])  # Swings.
+_LEFT = np.array([[True, False]])  # Swings.
 
-  def test_by_hand(self) -> None:
-    """A third of a step after its middle, at 0.6 m/s."""
-    length = 0.3
-    forward, lift, forward_rate, lift_rate = kinematics.stepping(
-      np.array([0.6]), self._LEFT, np.array([length / 3]), np.array([length])
-    )
-    np.testing.assert_allclose(forward, [[0.06, -0.06]])
-    np.testing.assert_allclose(lift, [[0.03, 0.0]])
-    np.testing.assert_allclose(forward_rate, [[0.6, -0.6]])
-    fall = -0.06 * np.pi / length * np.sin(np.pi / 3)
-    np.testing.assert_allclose(lift_rate, [[fall, 0.0]])
 
-  def test_nothing_where_no_foot_swings(self) -> None:
-    none, one = np.zeros((1, 2), dtype=bool), np.ones(1)
-    for values in kinematics.stepping(one, none, 0.1 * one, one):
-      np.testing.assert_array_equal(values, np.zeros((1, 2)))
-    np.testing.assert_array_equal(kinematics.sway(none, 0.1 * one, one), [0.0])
+def test_stepping_by_hand() -> None:
+  """A third of a step after its middle, at 0.6 m/s."""
+  length = 0.3
+  forward, lift, forward_rate, lift_rate = kinematics.stepping(
+    np.array([0.6]), _LEFT, np.array([length / 3]), np.array([length])
+  )
+  np.testing.assert_allclose(forward, [[0.06, -0.06]])
+  np.testing.assert_allclose(lift, [[0.03, 0.0]])
+  np.testing.assert_allclose(forward_rate, [[0.6, -0.6]])
+  fall = -0.06 * np.pi / length * np.sin(np.pi / 3)
+  np.testing.assert_allclose(lift_rate, [[fall, 0.0]])
+  # Nothing where no foot swings.
+  none, one = np.zeros((1, 2), dtype=bool), np.ones(1)
+  for values in kinematics.stepping(one, none, 0.1 * one, one):
+    np.testing.assert_array_equal(values, np.zeros((1, 2)))
+  np.testing.assert_array_equal(kinematics.sway(none, 0.1 * one, one), [0.0])
 
-  @pytest.mark.parametrize('length', [0.2, 0.3, 0.5])
-  def test_sway_leads_from_step_to_step(self, length: float) -> None:
-    """A pendulum over the standing foot is back in the middle in the end."""
-    for swinging, side in (self._LEFT, -1.0), (~self._LEFT, 1.0):
-      at = lambda time, swinging=swinging: float(
-        kinematics.sway(swinging, np.array([time]), np.array([length]))[0]
-      )
-      foot, y, v, dt = side * 0.09, 0.0, at(-length / 2), 1e-5
-      assert side * v > 0.1
-      for i in range(round(length / dt)):
-        if i == round(length / dt / 2):
-          assert v == pytest.approx(0.0, abs=0.5e-3)
-          assert 0.0 <= side * y <= 0.09
-        v += dt * 9.81 / constants.STAND_HEIGHT * (y - foot)
-        y += dt * v
-      assert y == pytest.approx(0.0, abs=0.5e-3)
-      assert v == pytest.approx(at(length / 2), abs=0.5e-3)
+
+@pytest.mark.parametrize('side', [-1.0, 1.0])
+@pytest.mark.parametrize('length', [0.2, 0.5])
+def test_sway_leads_from_step_to_step(length: float, side: float) -> None:
+  """A pendulum over the standing foot is back in the middle in the end."""
+
+  def at(time: float) -> float:
+    swinging = _LEFT if side < 0 else ~_LEFT
+    found = kinematics.sway(swinging, np.array([time]), np.array([length]))
+    return float(found[0])
+
+  foot, y, v, dt = side * 0.09, 0.0, at(-length / 2), 1e-5
+  assert side * v > 0.1
+  for i in range(round(length / dt)):
+    if i == round(length / dt / 2):
+      assert v == pytest.approx(0.0, abs=0.5e-3)
+      assert 0.0 <= side * y <= 0.09
+    v += dt * 9.81 / constants.STAND_HEIGHT * (y - foot)
+    y += dt * v
+  assert y == pytest.approx(0.0, abs=0.5e-3)
+  assert v == pytest.approx(at(length / 2), abs=0.5e-3)
