@@ -88,7 +88,10 @@ def train(
     FloatingPointError: the learner met numbers that are not finite.
   """
   try:
-    length = runner.TrainingConfig(steps, minutes, keep_every=keep_every)
+    # By name, which is how an error calls them.
+    length = runner.TrainingConfig(
+      steps=steps, minutes=minutes, keep_every=keep_every
+    )
   except pydantic.ValidationError as error:
     raise ValueError(config_lib.describe(error)) from error
   names, motions = _named(modes)

@@ -118,6 +118,7 @@ def _copied(run: setup.Run) -> tuple[dict[str, torch.Tensor], Any]:
 
 
 def test_no_tensor_of_another_shape_is_taken_over(run: setup.Run) -> None:
+  run.loop.restore(*_copied(run))  # A new window.
   _train(run, 1)
   tensors, values = _copied(run)
   assert len(tensors) > 40
