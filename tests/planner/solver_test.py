@@ -104,6 +104,7 @@ def test_pi2_crosses_the_papers_tracks(name: str) -> None:
   assert found.solve_seconds > 0
 
 
+@pytest.mark.slow
 def test_what_cannot_be_reached(policy: pretrained.Policy) -> None:
   """Twice the beams are no use, and the best plan counts, which is alive."""
   config = dataclasses.replace(_CONFIG, goal=(5.0, 0.0, 0.5))
@@ -123,6 +124,7 @@ def test_what_cannot_be_reached(policy: pretrained.Policy) -> None:
   np.testing.assert_array_equal(replayed.paths[0], found.path)
 
 
+@pytest.mark.slow
 def test_more_beams_find_what_fewer_do_not(
   policy: pretrained.Policy, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -206,6 +206,7 @@ def test_parity_at_terminations(arena: str) -> None:
   assert np.median(lengths) < _STEPS  # Most of them end.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
   ('task_config', 'share'), [(_ENDLESS, 1.0), (_ENDING, 0.5)]
 )
