@@ -1,4 +1,18 @@
-"""Checkpoints that are whole or not there: one safetensors file, renamed."""
+"""Checkpoints: one safetensors file each, replaced atomically.
+
+A training's checkpoint has tensors with these keys (`runner.TrainingLoop`):
+
+    learner/network/*          state dictionary of the `ActorCritic`
+    learner/optimiser/P/N/*    Adam's moments; P is policy or value, N a number
+    learner/generator          of the minibatches
+    learner/learning_rate
+    actor/*                    noise generator, mask of deterministic worlds
+    environment/*              worlds, Algorithm 1, assistance, random numbers
+    tracker/*                  running means of `statistics.ReturnTracker`
+    rankR/*                    actor, environment and generator of rank R > 0
+
+Metadata are `steps`, `iterations`, `format`; if any, `ranks` and `diverged`.
+"""
 
 import json
 import os
@@ -15,7 +29,7 @@ from dmc_multimode.agents import distributed
 from dmc_multimode.utils import files
 
 _FORMAT = 'dmc_multimode.checkpoint.1'
-_MAX_BYTES = 4 << 30  # Larger files are none of ours.
+_MAX_BYTES = 4 << 30  # Larger files are rejected.
 NAME = 'checkpoint.safetensors'
 PREVIOUS = 'checkpoint.previous.safetensors'
 
@@ -25,9 +39,9 @@ def save_tensors(
   tensors: Mapping[str, torch.Tensor | np.ndarray],
   metadata: Mapping[str, Any],
 ) -> None:
-  """Writes tensors and a JSON-able dictionary into one safetensors file.
+  """Writes tensors and a JSON dictionary into one safetensors file.
 
-  It has a checksum: safetensors itself notices a truncated file, no other bit.
+  The file has a checksum: safetensors detects truncation, not flipped bits.
   """
   converted = {
     key: torch.as_tensor(value).cpu().contiguous()
@@ -39,12 +53,12 @@ def save_tensors(
 
 
 def _checksum(tensors: Mapping[str, torch.Tensor], text: str) -> int:
-  """Returns the CRC-32 of everything that a file holds."""
+  """Returns the CRC-32 of all tensors and of the metadata text."""
   found = zlib.crc32(text.encode())
   for key in sorted(tensors):
     value = tensors[key]
     found = zlib.crc32(f'{key} {value.dtype} {value.shape}'.encode(), found)
-    # No view of a scalar has another type, one of a row has.
+    # A scalar cannot be viewed as bytes, a row of one number can.
     bits = value.contiguous().reshape(-1).view(torch.uint8)
     found = zlib.crc32(bits.numpy().data, found)
   return found
@@ -53,11 +67,11 @@ def _checksum(tensors: Mapping[str, torch.Tensor], text: str) -> int:
 def load_tensors(
   path: pathlib.Path,
 ) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
-  """Reads what `save_tensors` wrote.
+  """Returns the tensors and metadata of a file of `save_tensors`.
 
   Raises:
     FileNotFoundError: there is no such file.
-    ValueError: it is truncated or damaged, or not one of ours.
+    ValueError: the file is truncated, damaged or of another kind.
   """
   if not path.is_file():
     raise FileNotFoundError(f'{path} does not exist.')
@@ -69,13 +83,13 @@ def load_tensors(
       if not isinstance(metadata, dict):
         raise ValueError('its metadata is no object.')
       tensors = {key: file.get_tensor(key) for key in file.keys()}
-    # Older files have none.
+    # Older files have no checksum.
     if 'crc32' in strings:
       if strings['crc32'] != str(_checksum(tensors, strings['json'])):
         raise ValueError('its checksum is of other content.')
   except (
     safetensors.SafetensorError,
-    AttributeError,  # A type of numbers that this torch does not know.
+    AttributeError,  # A dtype that this torch does not know.
     KeyError,
     RuntimeError,  # Likewise; and RecursionError is one.
     ValueError,
@@ -90,17 +104,17 @@ class Checkpointer:
   """Keeps the newest two checkpoints of a run."""
 
   def __init__(self, directory: pathlib.Path):
-    """Writes into `directory`, which must exist."""
+    """Keeps checkpoints in `directory`, which must exist."""
     self._directory = directory
     self._newest_is_damaged = False
 
   @property
   def path(self) -> pathlib.Path:
-    """The newest checkpoint."""
+    """Path of the newest checkpoint."""
     return self._directory / NAME
 
   def exists(self) -> bool:
-    """Returns whether there is anything to resume from."""
+    """Returns True if there is a checkpoint to resume from."""
     return self.path.exists() or (self._directory / PREVIOUS).exists()
 
   def save(
@@ -111,21 +125,21 @@ class Checkpointer:
     """Writes a checkpoint; the one before it stays as a fallback."""
     newest = self._directory / f'.{NAME}.new'
     save_tensors(newest, tensors, {**metadata, 'format': _FORMAT})
-    # A damaged one must not take the place of the one that was resumed.
+    # A damaged checkpoint must not replace the one that was resumed.
     if self.path.exists() and not self._newest_is_damaged:
       os.replace(self.path, self._directory / PREVIOUS)
     os.replace(newest, self.path)
     self._newest_is_damaged = False
 
   def load(self) -> tuple[dict[str, torch.Tensor], dict[str, Any], str]:
-    """Reads the newest checkpoint that is whole.
+    """Reads the newest checkpoint that is intact.
 
     Returns:
-      Tensors, metadata, and a line that says so if it is not the newest.
+      Tensors, metadata, and a warning if it is not the newest; otherwise ''.
 
     Raises:
-      FileNotFoundError: there is none.
-      ValueError: none is whole.
+      FileNotFoundError: there is no checkpoint.
+      ValueError: no checkpoint is intact.
     """
     problem = ''
     for path in (self.path, self._directory / PREVIOUS):
@@ -148,7 +162,7 @@ class Checkpointer:
     raise ValueError(problem)
 
 
-# What every rank of a training has of its own, in the names of its state.
+# Prefixes of the tensors that differ by rank.
 _OWN = ('actor/', 'environment/', 'learner/generator')
 _NETWORK = 'learner/network/'
 
@@ -160,8 +174,8 @@ def collect(
   """Collects the states of all ranks at rank 0.
 
   Returns:
-    At rank 0 its own `tensors`, and as `rank1/NAME` what another rank has of
-    its own; at the others nothing but their own.
+    At rank 0 its `tensors` and, as `rank1/NAME`, those of other ranks that
+    differ by rank; at other ranks only their own.
 
   Raises:
     ValueError: the ranks do not hold the same network.
@@ -191,14 +205,14 @@ def scatter(
   tensors: Mapping[str, torch.Tensor],
   values: Mapping[str, Any],
 ) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
-  """Gives every rank its part of what `collect` has collected.
+  """Returns each rank's part of the result of `collect`.
 
   Args:
     communicator: of the ranks.
-    tensors, values: a checkpoint; only what rank 0 gives matters.
+    tensors, values: a checkpoint; ignored at ranks other than 0.
 
   Raises:
-    ValueError: it is of another number of ranks.
+    ValueError: the checkpoint has another number of ranks.
   """
 
   def text() -> str:
@@ -224,7 +238,7 @@ def scatter(
 def _of_rank(
   tensors: Mapping[str, torch.Tensor], rank: int
 ) -> dict[str, torch.Tensor]:
-  """Returns the state of one rank from that of all of them."""
+  """Returns the state of one rank from the state of all ranks."""
   shared = {k: v for k, v in tensors.items() if not k.startswith('rank')}
   if not rank:
     return shared

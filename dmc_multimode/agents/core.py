@@ -1,4 +1,4 @@
-"""Protocols by which agents and environments know each other."""
+"""Protocols between agents and environments."""
 
 import dataclasses
 from typing import Callable, Mapping, Protocol
@@ -24,18 +24,16 @@ class Policy(Protocol):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class EnvironmentDescription:
-  """Describes an environment to an agent that is to be built for it.
+  """Description of an environment, from which an agent is built.
 
   Attributes:
     observation_spec: one world's observation, with privileged parts, [D].
     action_spec: one world's action, [A].
-    privileged_size: how many of the observation's last numbers only the value
-      function sees.
-    standing_action: what a policy does before it has learned, [A]; zero if
-      None.
-    symmetry: mirrors observations and actions, if the environment has a mirror
-      image.
-    mode_of: tells modes by observations, if there are any.
+    privileged_size: number of entries at the end of the observation that only
+      the value function sees.
+    standing_action: mean action of an untrained policy, [A]; zero if None.
+    symmetry: mirrors observations and actions; None without a mirror image.
+    mode_of: maps observations to mode indices; None without modes.
   """
 
   observation_spec: specs.Array
@@ -47,15 +45,15 @@ class EnvironmentDescription:
 
 
 class Outcomes(Protocol):
-  """N finished episodes, wherever they were."""
+  """Outcomes of N finished episodes, of this process or of others."""
 
   @property
   def initial(self) -> np.ndarray:
-    """Indices of their first modes, [N]."""
+    """Indices of the first modes, [N]."""
 
   @property
   def final(self) -> np.ndarray:
-    """Indices of their last modes, [N]."""
+    """Indices of the last modes, [N]."""
 
   @property
   def returns(self) -> np.ndarray:
@@ -63,11 +61,11 @@ class Outcomes(Protocol):
 
   @property
   def causes(self) -> np.ndarray:
-    """Causes of their ends, 0 for the time limit, [N]."""
+    """Indices of the causes of the ends, 0 for the time limit, [N]."""
 
 
 class EpisodeResults(Outcomes, Protocol):
-  """Those that ended in a step; see `BatchedTimeStep`."""
+  """Episodes that ended in a step; see `BatchedTimeStep`."""
 
   @property
   def worlds(self) -> np.ndarray:
@@ -75,7 +73,7 @@ class EpisodeResults(Outcomes, Protocol):
 
   @property
   def lengths(self) -> np.ndarray:
-    """Control steps, [N]."""
+    """Lengths in control steps, [N]."""
 
 
 class BatchedTimeStep(Protocol):
@@ -99,7 +97,7 @@ class BatchedTimeStep(Protocol):
 
   @property
   def observation(self) -> np.ndarray:
-    """Of the next episode where `last`, [B, D]."""
+    """Observations, of the next episode where `last`, [B, D]."""
 
   @property
   def final_observation(self) -> np.ndarray:
@@ -111,7 +109,7 @@ class BatchedTimeStep(Protocol):
 
 
 class BatchedEnvironment(Protocol):
-  """B worlds that begin new episodes by themselves."""
+  """B worlds that reset themselves at the end of an episode."""
 
   num_worlds: int
 
@@ -122,31 +120,30 @@ class BatchedEnvironment(Protocol):
     """One world's action, [A]."""
 
   def reset(self) -> np.ndarray:
-    """Begins an episode everywhere; returns observations [B, D]."""
+    """Begins an episode in every world; returns observations [B, D]."""
 
   def step(self, actions: np.ndarray) -> BatchedTimeStep:
     """Applies actions, [B, A]."""
 
   def state(self) -> dict[str, np.ndarray]:
-    """Returns copies of everything that `restore` needs."""
+    """Returns copies of the state for `restore`."""
 
   def restore(self, state: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Restores a `state`; returns the observations of that moment."""
+    """Restores a `state`; returns its observations."""
 
 
 class MeasuredEnvironment(BatchedEnvironment, Protocol):
-  """A batched environment that tells what evaluations look at."""
+  """Batched environment with measurements for evaluations."""
 
   def measure(self) -> dict[str, np.ndarray]:
-    """Returns position, reference, support, contact, ..., [B, ...] each."""
+    """Returns position, reference, contact, ... by name, [B, ...] each."""
 
 
 class TrainingEnvironment(BatchedEnvironment, Protocol):
-  """A batched environment that learns which episodes to begin.
+  """Batched environment that adapts which episodes it begins.
 
   Attributes:
-    invalid_cause: the one of the `causes` that stands for a world whose physics
-      diverged.
+    invalid_cause: index among the `causes` of a world whose physics diverged.
   """
 
   invalid_cause: int
@@ -156,7 +153,7 @@ class TrainingEnvironment(BatchedEnvironment, Protocol):
     """Environment steps so far, summed over all worlds of all ranks."""
 
   def learn(self, outcomes: Outcomes, /) -> None:
-    """Learns from finished episodes, its own and others'.
+    """Adapts to finished episodes, of this environment and of others.
 
-    An environment that trains alone learns by itself, and is not told.
+    An environment that trains alone does so in `step`, without this call.
     """

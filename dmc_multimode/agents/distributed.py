@@ -1,8 +1,7 @@
 """Communication of the processes that train one network together.
 
-Each of them, a rank, has worlds of its own and the same network. An operation
-of several ranks is collective: every rank must call it, in the same order, or
-all of them wait.
+Each process, a rank, has its own worlds and the same network. Operations are
+collective: every rank must call them in the same order, or all ranks wait.
 """
 
 import contextlib
@@ -14,7 +13,7 @@ import numpy as np
 import torch
 from torch import distributed
 
-# A rank that dies is noticed at once; this is for one that does not answer.
+# For a rank that hangs; one that dies is noticed at once.
 _PATIENCE = datetime.timedelta(minutes=30)
 
 
@@ -27,13 +26,13 @@ class Moments(NamedTuple):
 
 
 class Communicator:
-  """Connects the ranks of a torch process group, or stands for one process.
+  """Collective operations of a torch process group, or of one process.
 
   Every operation raises ConnectionError where another rank has ended.
 
   Attributes:
     rank: number of this process, from 0.
-    size: how many there are. Of one, every operation is an identity.
+    size: number of ranks. With one, every operation is an identity.
   """
 
   def __init__(self, group: distributed.ProcessGroup | None = None):
@@ -53,20 +52,20 @@ class Communicator:
       ) from error
 
   def split(self) -> 'Communicator':
-    """Returns one of the same ranks that another thread may use meanwhile."""
+    """Returns a communicator of the same ranks for another thread."""
     if self.size == 1:
       return self
     with self._contact():
       return Communicator(distributed.new_group(timeout=_PATIENCE))
 
   def _sum(self, tensor: torch.Tensor) -> torch.Tensor:
-    """Adds up over all ranks, in place, to the same bits everywhere."""
+    """Sums over all ranks, in place, to the same bits at every rank."""
     with self._contact():
       distributed.all_reduce(tensor, group=self._group)
     return tensor
 
   def average(self, tensors: Sequence[torch.Tensor]) -> None:
-    """Puts the mean over all ranks into tensors of one type, in place."""
+    """Replaces tensors of one dtype by their means over all ranks, in place."""
     if self.size == 1:
       return
     # One large operation costs less than many small ones.
@@ -76,7 +75,7 @@ class Communicator:
       tensor.copy_(part.view_as(tensor))
 
   def broadcast(self, tensors: Sequence[torch.Tensor]) -> None:
-    """Puts what rank 0 has into tensors, in place."""
+    """Replaces tensors by those of rank 0, in place."""
     if self.size == 1:
       return
     with self._contact():
@@ -97,7 +96,7 @@ class Communicator:
     return Moments(int(count), mean.to(values.dtype), std.to(values.dtype))
 
   def any(self, *flags: bool) -> tuple[bool, ...]:
-    """Returns, of each flag, whether a rank has raised it."""
+    """Returns, for each flag, True if it is set at any rank."""
     if self.size == 1:
       return flags
     counts = self._sum(torch.tensor(flags).int()).tolist()
@@ -118,7 +117,7 @@ class Communicator:
     return torch.cat([p[:n] for p, n in zip(parts, counts, strict=True)])
 
   def collect(self, payload: bytes) -> list[bytes]:
-    """Returns all ranks' payloads at rank 0, and nothing elsewhere."""
+    """Returns all ranks' payloads at rank 0, an empty list elsewhere."""
     if self.size == 1:
       return [payload]
     parts = [b''] * self.size if self.rank == 0 else None
@@ -127,7 +126,7 @@ class Communicator:
     return parts or []
 
   def scatter(self, payloads: Sequence[bytes]) -> bytes:
-    """Returns to each rank its own of the payloads that rank 0 gives."""
+    """Returns this rank's entry of the payloads of rank 0."""
     if self.size == 1:
       (payload,) = payloads
       return payload
@@ -143,16 +142,16 @@ LOCAL = Communicator()
 
 @contextlib.contextmanager
 def connect(device: torch.device | None = None) -> Iterator[Communicator]:
-  """Connects to the other ranks, until the context ends.
+  """Connects the ranks until the context ends.
 
   Args:
-    device: on which tensors may be, besides the CPU.
+    device: of tensors to exchange, besides the CPU.
 
   Yields:
-    `LOCAL` where there are no others, with `torchrun` or without.
+    The communicator; `LOCAL` for a single process.
 
   Raises:
-    ConnectionError: the others do not answer.
+    ConnectionError: other ranks do not answer.
     ValueError: the environment variables of `torchrun` are incomplete.
   """
   if int(os.environ.get('WORLD_SIZE', '1')) == 1:
@@ -167,7 +166,7 @@ def connect(device: torch.device | None = None) -> Iterator[Communicator]:
   try:
     communicator = Communicator(distributed.group.WORLD)
     yield communicator
-    communicator.any(False)  # Who leaves early looks dead to the others.
+    communicator.any(False)  # Leaving early looks like dying.
   finally:
     distributed.destroy_process_group()
 
@@ -179,7 +178,7 @@ def find_device(name: str) -> torch.device:
     name: 'cpu' or 'cuda'; ranks on one machine get a GPU each.
 
   Raises:
-    ValueError: there is no such device.
+    ValueError: the device does not exist.
   """
   if name != 'cuda':
     return torch.device(name)
@@ -195,16 +194,16 @@ def find_device(name: str) -> torch.device:
 
 
 def local_cores() -> int:
-  """Returns how many cores each rank on this machine may use."""
+  """Returns the number of cores for each rank on this machine."""
   cores = os.cpu_count() or 1
   return max(cores // int(os.environ.get('LOCAL_WORLD_SIZE', '1')), 1)
 
 
 def rank_seed(seed: int, rank: int) -> int:
-  """Returns a seed for what differs by rank; rank 0 keeps `seed`, in [0, 2^32).
+  """Returns the seed of a rank, in [0, 2^32); rank 0 keeps `seed`.
 
-  Seeds of several ranks lie apart: one and the next would not do, because parts
-  of an agent already use the numbers that follow `seed`.
+  Seeds of ranks lie far apart, because parts of an agent use the numbers that
+  follow `seed`.
   """
   if not rank:
     return seed
@@ -212,10 +211,10 @@ def rank_seed(seed: int, rank: int) -> int:
 
 
 def from_first(communicator: Communicator, make: Callable[[], str]) -> str:
-  """Calls `make` at rank 0 alone; returns its text at every rank.
+  """Returns at every rank the text that `make` returns at rank 0.
 
   Raises:
-    ValueError: at the other ranks, where `make` raises anything at rank 0.
+    ValueError: at other ranks, if `make` raises any error at rank 0.
   """
   text = None
   try:

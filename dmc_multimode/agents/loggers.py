@@ -13,14 +13,14 @@ import tqdm
 from dmc_multimode.utils import files
 
 Values = Mapping[str, float]
-_MAX_CHARACTERS = 1 << 30  # Of a CSV file; a longer one is none of ours.
+_MAX_CHARACTERS = 1 << 30  # Bytes of a CSV file; longer ones are rejected.
 
 
 class Logger(Protocol):
   """Writes one row of numbers."""
 
   def write(self, values: Values) -> None:
-    """Writes `values` by name; 'steps' is the abscissa."""
+    """Writes a row of values by name; 'steps' is the abscissa."""
 
   def close(self) -> None:
     """Flushes and closes."""
@@ -40,13 +40,13 @@ class Dispatcher:
 
   def close(self) -> None:
     """See `Logger`."""
-    with contextlib.ExitStack() as stack:  # All of them, whatever they raise.
+    with contextlib.ExitStack() as stack:  # Closes all, also after an error.
       for logger in reversed(self._loggers):
         stack.callback(logger.close)
 
 
 class CSVLogger:
-  """Appends rows to a CSV file whose columns the first row decides."""
+  """Appends rows to a CSV file; the first row determines the columns."""
 
   def __init__(self, path: pathlib.Path, resume_from: float = 0.0):
     """Opens `path`; rows beyond `resume_from` steps are dropped first."""
@@ -81,7 +81,7 @@ class CSVLogger:
 
 @contextlib.contextmanager
 def _named_errors(path: pathlib.Path) -> Iterator[None]:
-  """Says which file it is that cannot be written."""
+  """Adds the file's name to an error of writing."""
   try:
     yield
   except OSError as error:
@@ -92,7 +92,7 @@ def _rows_until(path: pathlib.Path, steps: float) -> list[dict[str, str]]:
   """Reads the rows of an interrupted run up to its checkpoint.
 
   Raises:
-    ValueError: the file is not one that `CSVLogger` has written.
+    ValueError: the file was not written by a `CSVLogger`.
   """
   if not path.exists() or steps <= 0:
     return []
@@ -119,8 +119,8 @@ class TensorBoardLogger:
   """Writes scalars for TensorBoard."""
 
   def __init__(self, directory: pathlib.Path, resume_from: int = 0):
-    """Opens `directory`; what lies beyond `resume_from` is hidden."""
-    # Imported here: most binaries do not need it.
+    """Opens `directory`; events beyond `resume_from` are hidden."""
+    # Late: most commands do not need it.
     from torch.utils import tensorboard
 
     self._path = directory
@@ -142,8 +142,8 @@ class TensorBoardLogger:
       for key, value in values.items():
         if key != 'steps':
           self._writer.add_scalar(key, value, int(values['steps']))
-      # Another thread writes: nothing waits for it for two minutes, and what
-      # goes wrong there is raised here.
+      # Another thread writes; flushing raises its errors here, and not after
+      # two minutes.
       self._writer.flush()
 
   def close(self) -> None:
@@ -167,23 +167,23 @@ def check_wandb() -> None:
 
 
 class WandbLogger:
-  """Writes to a project of Weights and Biases; takes the extra `wandb`.
+  """Writes to a project of Weights and Biases; needs the extra `wandb`.
 
-  Where to, and whether at all, its own variables say: `WANDB_MODE=offline`
-  writes below the run's folder and nowhere else.
+  Environment variables of wandb select the destination: with
+    `WANDB_MODE=offline` it writes below the run's folder only.
   """
 
-  _ID_FILE = 'wandb_id'  # By which a run that goes on is found again.
+  _ID_FILE = 'wandb_id'  # File with the id of the run, for a resumed run.
 
   def __init__(
     self, directory: pathlib.Path, project: str, config: Mapping[str, Any]
   ):
-    """Begins a run there, or goes on with the one that `directory` has begun.
+    """Begins a run, or continues the run that `directory` has begun.
 
     Args:
       directory: of the training.
       project: its name.
-      config: what decides the training's result, JSON-able.
+      config: configuration of the training, JSON values.
 
     Raises:
       ModuleNotFoundError: Weights and Biases is not installed.
@@ -202,8 +202,8 @@ class WandbLogger:
       config=dict(config),
       resume='allow',
     )
-    # By itself the abscissa would be the number of rows; and steps that come
-    # twice, in a run that goes on from a checkpoint, would be dropped.
+    # The default abscissa is the number of rows, and rows with steps that were
+    # logged before, as in a resumed run, would be dropped.
     self._run.define_metric('*', step_metric='steps')
 
   def write(self, values: Values) -> None:
@@ -228,7 +228,7 @@ class ProgressLogger:
   )
 
   def __init__(self, total_steps: int, first_step: int = 0):
-    """Shows the way from `first_step` to `total_steps`."""
+    """Shows progress from `first_step` to `total_steps`."""
     self._bar = tqdm.tqdm(
       total=total_steps,
       initial=first_step,

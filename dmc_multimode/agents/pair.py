@@ -1,4 +1,4 @@
-"""Two threads that share the work of one."""
+"""Two threads for two independent computations."""
 
 from concurrent import futures
 from typing import Callable, TypeVar
@@ -10,22 +10,22 @@ _U = TypeVar('_U')
 
 
 class Pair:
-  """The calling thread and a second one, or the calling thread alone.
+  """Runs functions in the calling thread and a second one, or in turn.
 
-  Operations on networks as small as these gain more from two threads that do
-  different ones than from being cut in two each; and the threads of the latter
-  go on waiting in a loop when the physics needs their cores. Results are the
-  same to the bit, with a second thread or without.
+  With networks this small, two threads that run different operations are faster
+  than torch's threads within each operation, which also keep spinning while the
+  physics needs the cores. Results are the same to the bit with and without the
+  second thread.
   """
 
   def __init__(self, parallel: bool = False):
-    """Starts the second thread when there is `parallel` work for it."""
+    """Creates the second thread if `parallel`."""
     self._worker = futures.ThreadPoolExecutor(1, 'pair') if parallel else None
 
   def both(
     self, mine: Callable[[], _T], other: Callable[[], _U]
   ) -> tuple[_T, _U]:
-    """Calls both, at once or in turn; returns what both returned.
+    """Calls both functions, in parallel or in turn; returns both results.
 
     An exception of either is raised when both have ended, `mine` first.
     """
@@ -41,10 +41,10 @@ class Pair:
   def map_rows(
     self, function: Callable[[torch.Tensor], torch.Tensor], rows: torch.Tensor
   ) -> torch.Tensor:
-    """Returns `function(rows)` without gradients, half by each thread.
+    """Returns `function(rows)` without gradients, each thread doing half.
 
     Args:
-      function: takes [N, ...] to [N, ...], row by row.
+      function: maps [N, ...] to [N, ...], row by row.
       rows: [N, ...].
     """
     first, *rest = rows.chunk(2)
@@ -56,7 +56,7 @@ class Pair:
     return torch.cat(halves)
 
 
-@torch.no_grad()  # A thread has its own idea of whether there are gradients.
+@torch.no_grad()  # Gradient mode is local to a thread.
 def _infer(
   function: Callable[[torch.Tensor], torch.Tensor], rows: torch.Tensor
 ) -> torch.Tensor:

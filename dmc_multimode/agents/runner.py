@@ -19,21 +19,21 @@ from dmc_multimode.agents.ppo import networks
 from dmc_multimode.agents.ppo import rollouts
 from dmc_multimode.utils import config as config_lib
 
-# Without end, too.
+# Infinite, too.
 _Minutes = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=True)]
 
 
 @pydantic_dataclasses.dataclass(frozen=True, config=config_lib.STRICT)
 class TrainingConfig:
-  """Length of a training, and times of its reports.
+  """Length of a training, and intervals of logs and checkpoints.
 
   Attributes:
     steps: environment steps, summed over all worlds.
-    minutes: wall-clock time of this process after which it stops.
+    minutes: wall-clock limit of this process.
     log_every: iterations between rows in the logs.
-    checkpoint_seconds: most time between two checkpoints.
-    keep_every: environment steps between policies that are kept for good; 0
-      keeps none but the last.
+    checkpoint_seconds: longest time between two checkpoints.
+    keep_every: environment steps between policies that are kept permanently; 0
+      keeps only the last.
   """
 
   steps: config_lib.PositiveInt = 12_000_000
@@ -44,13 +44,13 @@ class TrainingConfig:
 
 
 class TrainingLoop:
-  """Collects rollouts in all worlds, learns from them, over and over.
+  """Alternates rollouts of all worlds and updates of the networks.
 
-  Where several ranks train together, each has some of the worlds. They agree on
-  when to stop and to save, and `run`, `state` and `restore` are collective.
+  Of several ranks, each has some of the worlds. They agree on when to stop and
+  to save; `run`, `state` and `restore` are collective.
 
   Attributes:
-    iterations: how many there were.
+    iterations: number of iterations so far.
   """
 
   def __init__(
@@ -69,9 +69,9 @@ class TrainingLoop:
       environment: B worlds, those of this rank.
       actor: explores in them.
       learner: updates the actor's network.
-      rollout_length: control steps a world and iteration.
-      mode_names: of the modes that episodes are about, for the logs.
-      probabilities: what is sampled how often, for the logs.
+      rollout_length: control steps per world and iteration.
+      mode_names: names of the modes, for the logs.
+      probabilities: returns sampling probabilities by name, for the logs.
       communicator: connects the ranks that train together.
     """
     self._environment = environment
@@ -93,7 +93,7 @@ class TrainingLoop:
 
   @property
   def network(self) -> networks.ActorCritic:
-    """Returns what is trained."""
+    """Returns the network that is trained."""
     return self._learner.network
 
   def _allocate(self) -> rollouts.Rollouts:
@@ -125,8 +125,8 @@ class TrainingLoop:
       data.last[t] = torch.from_numpy(step.last)
       seen = torch.from_numpy(step.observation)
       data.next_observations[t] = seen
-      # What a terminated world saw last is worth nothing and, where the
-      # physics diverged, not finite.
+      # The last observation of a terminated world has value 0, and is not
+      # finite where the physics diverged.
       worlds = step.results.worlds
       timed_out = step.discount[worlds] > 0
       data.next_observations[t, torch.from_numpy(worlds[timed_out])] = (
@@ -150,13 +150,13 @@ class TrainingLoop:
     should_stop: Callable[[], bool] = lambda: False,
     keep: Callable[[], None] = lambda: None,
   ) -> None:
-    """Trains until `config.steps`, the time is up or `should_stop`.
+    """Trains until `config.steps`, the time limit or `should_stop`.
 
     Args:
-      config: how long, how often.
-      logger: gets a row every `config.log_every` iterations.
+      config: length and intervals.
+      logger: receives a row every `config.log_every` iterations.
       save: called at least every `config.checkpoint_seconds` and at the end.
-      should_stop: asked after every iteration.
+      should_stop: called after every iteration.
       keep: called every `config.keep_every` environment steps.
     """
     began = saved = logged = time.monotonic()
@@ -183,7 +183,7 @@ class TrainingLoop:
         saved, saved_steps = time.monotonic(), self.steps
       if stop:
         break
-    # Twice the same would leave no earlier checkpoint to fall back to.
+    # Saving the same step twice would overwrite the earlier checkpoint.
     if self.steps != saved_steps:
       save()
 
@@ -198,9 +198,9 @@ class TrainingLoop:
     }
 
   def state(self) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Returns tensors and JSON-able values that `restore` needs.
+    """Returns tensors and JSON values for `restore`.
 
-    Rank 0 gets those of all ranks; what others get is of no use.
+    The result is complete at rank 0 only.
 
     Raises:
       ValueError: the ranks do not hold the same network.
@@ -230,11 +230,11 @@ class TrainingLoop:
     """Restores a `state`; training then continues bit for bit.
 
     Args:
-      tensors, values: what `state` returned; only those of rank 0 matter.
+      tensors, values: result of `state`; ignored at ranks other than 0.
 
     Raises:
-      ValueError: the state is of another network, task or number of worlds or
-        of ranks.
+      ValueError: the state has another network, task, or number of worlds or
+        ranks.
     """
     tensors, values = checkpointing.scatter(self._communicator, tensors, values)
     try:
@@ -251,7 +251,7 @@ class TrainingLoop:
       self.iterations = int(values['iterations'])
       if int(values['steps']) != self.steps:
         raise RuntimeError(f'its worlds have made {self.steps:,} steps.')
-      # Older ones lack it.
+      # Older checkpoints lack it.
       self._diverged.restore(int(values.get('diverged', 0)))
     except KeyError as error:
       raise ValueError(f'The checkpoint lacks {error}.') from error

@@ -9,11 +9,11 @@ from dmc_multimode.agents import core
 from dmc_multimode.agents import distributed
 
 _MOST_DIVERGED = 0.001  # Share of environment steps.
-_WINDOW = 20_000  # Environment steps, at least, of which that is the share.
+_WINDOW = 20_000  # Environment steps of a window.
 
 
 class Episodes(NamedTuple):
-  """See `core.Outcomes`."""
+  """Finished episodes; implements `core.Outcomes`."""
 
   initial: np.ndarray
   final: np.ndarray
@@ -29,15 +29,15 @@ class EpisodeTable:
     self._rows: list[np.ndarray] = []
 
   def add(self, time: int, results: core.Outcomes) -> None:
-    """Takes in the episodes that ended at a time step of the rollout."""
+    """Adds the episodes that ended at a time step of the rollout."""
     times = np.full(len(results.initial), time)
     columns = (results.initial, results.final, results.causes, results.returns)
     self._rows.append(np.stack((times, *columns), axis=1).astype(np.float64))
 
   def gather(self, communicator: distributed.Communicator) -> Episodes:
-    """Returns the episodes of all ranks, as if one rank had all worlds.
+    """Returns the episodes of all ranks.
 
-    They are in the order of time first, then of ranks, then of worlds.
+    The order is that of time, then ranks, then worlds.
     """
     mine = torch.from_numpy(np.concatenate(self._rows))
     table = communicator.gather(mine).numpy()
@@ -53,13 +53,13 @@ class ReturnTracker:
   _FIELDS = ('returns', 'survival', 'seen')
 
   def __init__(self, num_modes: int):
-    """Starts at zero, with nothing seen."""
+    """Starts without episodes."""
     self.returns = np.zeros((num_modes, num_modes))
     self.survival = np.zeros((num_modes, num_modes))
     self.seen = np.zeros((num_modes, num_modes))
 
   def update(self, results: core.Outcomes) -> None:
-    """Takes in finished episodes, in order."""
+    """Updates the means by finished episodes, in order."""
     for i, f, value, cause in zip(
       results.initial,
       results.final,
@@ -73,7 +73,7 @@ class ReturnTracker:
       self.survival[i, f] += rate * ((cause == 0) - self.survival[i, f])
 
   def summary(self, names: tuple[str, ...]) -> dict[str, float]:
-    """Returns MRA, survival, and both per mode and transition."""
+    """Returns MRA and survival, in all and per mode and transition."""
     diagonal = np.diagonal(self.returns)
     result = {
       'mra_modes': float(diagonal.mean()),
@@ -93,7 +93,7 @@ class ReturnTracker:
     return result
 
   def state(self) -> dict[str, np.ndarray]:
-    """Returns copies of everything that `restore` needs."""
+    """Returns copies of the state for `restore`."""
     return {name: getattr(self, name).copy() for name in self._FIELDS}
 
   def restore(self, state: Mapping[str, torch.Tensor]) -> None:
@@ -103,10 +103,10 @@ class ReturnTracker:
 
 
 class DivergenceCounter:
-  """Counts the worlds whose physics diverged, which begin anew by themselves.
+  """Counts the worlds whose physics diverged and which were reset.
 
   Attributes:
-    total: how many did, by now.
+    total: number of such worlds so far.
   """
 
   def __init__(self) -> None:
@@ -114,17 +114,16 @@ class DivergenceCounter:
     self.restore(0)
 
   def restore(self, total: int) -> None:
-    """Goes on from `total`, in a new window."""
+    """Continues from `total`, in a new window."""
     self.total = total
     self._window = np.zeros(2, dtype=np.int64)  # Worlds that diverged, steps.
 
   def update(self, diverged: int, steps: int) -> None:
-    """Counts worlds that diverged in so many environment steps.
+    """Adds the worlds that diverged in `steps` environment steps.
 
     Raises:
-      FloatingPointError: there are too many: more than `_MOST_DIVERGED` of the
-        steps since the last window ended, which it does as soon as it has
-        `_WINDOW` steps, or of a whole one before it has.
+      FloatingPointError: in the current window of at least `_WINDOW` steps,
+        more than the share `_MOST_DIVERGED` of the steps diverged.
     """
     self.total += diverged
     self._window += diverged, steps

@@ -1,4 +1,4 @@
-"""Trainings: what decides a run, how it is built, run and found again.
+"""Trainings: configuration, construction and folder of a run.
 
 policy = experiments.train('runs/mine', modes='pi2', steps=10_000_000)
 """

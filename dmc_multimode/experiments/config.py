@@ -1,4 +1,4 @@
-"""Everything that decides a run's result, in one dataclass."""
+"""Configuration of a run, in one dataclass."""
 
 import dataclasses
 import json
@@ -20,20 +20,19 @@ _Worlds = Annotated[int, pydantic.Field(ge=1, le=1_000_000)]
 
 @pydantic_dataclasses.dataclass(frozen=True, config=config_lib.STRICT)
 class RunConfig:
-  """Everything that decides a run's result.
+  """Configuration that determines the result of a run.
 
-  What docs/LEARNING.md found best is the default.
+  Defaults are the best values of docs/LEARNING.md.
 
   Attributes:
     modes: a set's name or mode names, comma-separated.
     seed: of all randomness.
-    num_worlds: stepped together, by all processes.
+    num_worlds: number of worlds of all processes.
     threads: of the physics and of torch, in each process; part of
       bit-reproducibility.
     one_hot: one-hot commands instead of an encoder's latents.
-    init_from: the policy that it begins with, as its user has named it; empty
-      for none.
-    init_modes: the modes that this policy knows, comma-separated.
+    init_from: initial policy, as the user named it; empty for none.
+    init_modes: modes that the initial policy knows, comma-separated.
     ppo: of the learner.
     sampling: of Algorithm 1.
     task: of the imitation task.
@@ -54,7 +53,7 @@ class RunConfig:
   task: task_config.ImitationConfig = task_config.ImitationConfig(
     physics_timestep=0.01,
     events=events.TrainingEvents(
-      # Farther from the reference at first.
+      # A looser bound on the distance at first.
       distance_slack=schedule.Schedule(0.15, 0.0, 0, 3_000_000),
       assistance_steps=2_000_000,
     ),
@@ -68,7 +67,7 @@ def overridden(
 
   Args:
     config: a `RunConfig`, or a part of it.
-    changes: values by the names of their flags: `ppo_discount` is the field
+    changes: values by the names of flags: `ppo_discount` is the field
       `discount` of the part `ppo`.
     prefix: of these names, for errors.
 
@@ -97,14 +96,14 @@ def overridden(
 
 
 def to_dict(config: RunConfig) -> dict[str, Any]:
-  """Returns the configuration as JSON-able values."""
-  # Tuples become lists, as they are once they are read.
+  """Returns the configuration as JSON values."""
+  # Tuples become lists, as in a file that is read.
   values: dict[str, Any] = json.loads(json.dumps(config_lib.to_dict(config)))
   return values
 
 
 def from_dict(values: Mapping[str, Any]) -> RunConfig:
-  """Returns what `to_dict` was given, now or by an earlier version.
+  """Returns the configuration of a `to_dict`, also of an earlier version.
 
   Raises:
     ValueError: in one line, a field is unknown, missing or of the wrong type.

@@ -1,9 +1,9 @@
-"""A training that begins with a policy: what it takes over, and its defaults.
+"""Trainings that start from a policy: initial weights and defaults.
 
 The policy's modes keep their motions and, to the bit, their latents; new modes
 get latents of their own from the policy's encoder, which is trained on for them
-(`modes.encoder.extension`). So the network is of the same size, and all of it
-is taken over.
+(`modes.encoder.extension`). So the network keeps its size, and all weights are
+reused.
 """
 
 import dataclasses
@@ -25,28 +25,27 @@ from dmc_multimode.suite.imitation import observations
 from dmc_multimode.utils import resources
 from dmc_multimode.utils import schedule
 
-# Enough exploration to find a new motion near those that are known.
+# Enough exploration to find a new motion near the known ones.
 _INITIAL_STD, _LEAST_STD, _FINAL_STD = 0.18, 0.14, 0.05  # Radians.
-_ANNEALING = (0.25, 0.85)  # From and to which share of the training.
-# A motion near a known one pays nearly as well without being learned: to crouch
-# a little as well as a squat. So new modes are practised more, and their
-# advantages are not drowned by those of modes in which robots fall. The known
-# modes are held meanwhile.
+_ANNEALING = (0.25, 0.85)  # Start and end, shares of the training.
+# A new motion close to a known one earns nearly as much unlearned: a slight
+# crouch as much as a squat. So new modes are practised more, and advantages are
+# normalised by mode. Kickstarting holds the known modes meanwhile.
 _FOCUS_FRACTION, _KICKSTARTING_WEIGHT = 0.5, 0.3
 _DETERMINISTIC_FRACTION = 0.3
-_DETERMINISTIC_START = 0.5  # From which share of the training on.
+_DETERMINISTIC_START = 0.5  # Start, a share of the training.
 
 Motions = tuple[motion_lib.ReferenceMotion, ...]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Start:
-  """What a training begins with.
+  """The policy that a training starts from.
 
   Attributes:
     name: of the policy, as it was given.
-    policy: whose network and modes are taken over.
-    encoder: that made its latents.
+    policy: source of the network and the known modes.
+    encoder: mode encoder of the policy's latents.
   """
 
   name: str
@@ -56,12 +55,12 @@ class Start:
   def config(self, motions: Motions, steps: int) -> run_config.RunConfig:
     """Returns the defaults of a training.
 
-    They are those of the policy's own training as it was in the end, but for
-    the exploration, which rises once more, and for what new modes need.
+    These are the final values of the policy's own training, but for the
+    exploration, which rises again, and the settings for new modes.
 
     Args:
       motions: the modes of the training.
-      steps: how many control steps it is to take.
+      steps: length of the training, environment steps.
     """
     policy, before = self.policy, _trained_with(self.policy)
     start, end = (int(share * steps) for share in _ANNEALING)
@@ -99,12 +98,12 @@ class Start:
     )
 
   def new(self, motions: Motions) -> Motions:
-    """Returns those of the modes that the policy does not know."""
+    """Returns the motions that the policy does not know."""
     known = set(self.policy.mode_set.names)
     return tuple(motion for motion in motions if motion.name not in known)
 
   def modes(self, spec: str | None, extra: Motions = ()) -> Motions:
-    """Returns the modes that `spec` names; the policy knows its own best.
+    """Resolves `spec` to motions; the policy's definitions win.
 
     Args:
       spec: a set's name or mode names, comma-separated; None for those of the
@@ -112,7 +111,7 @@ class Start:
       extra: modes that may be named besides the policy's and the library's.
 
     Raises:
-      ValueError: a name is unknown, or is of another motion to the policy.
+      ValueError: a name is unknown, or names another motion in the policy.
     """
     known = {motion.name: motion for motion in self.policy.mode_set.motions}
     for motion in extra:
@@ -132,7 +131,7 @@ class Start:
     return library.resolve(spec, named)
 
   def check(self, config: run_config.RunConfig) -> None:
-    """Raises ValueError where a configuration is of another network."""
+    """Raises ValueError if a configuration has another network."""
     network = self.policy.network
     expected = {
       'hidden_sizes': self.policy.hidden_sizes,
@@ -158,11 +157,11 @@ class Start:
   def encode(
     self, motions: Motions
   ) -> tuple[mode_encoder.ModeEncoder, mode_set_lib.ModeSet]:
-    """Returns an encoder of the policy's modes too, and the modes' latents.
+    """Returns an encoder of known and new modes, and their codebook.
 
     Raises:
-      ValueError: the encoder is of another policy, or cannot tell the modes
-        apart.
+      ValueError: the encoder belongs to another policy, or cannot separate the
+        modes.
     """
     encoder, mode_set = extension.extend(
       self.encoder, self.policy.mode_set, self.new(motions)
@@ -171,17 +170,17 @@ class Start:
 
 
 def load(name: str, encoder: str | None = None) -> Start:
-  """Loads what a training is to begin with.
+  """Loads the policy and encoder that a training starts from.
 
   Args:
     name: of a shipped policy, or a folder of a policy or of a run.
-    encoder: folder of the policy's encoder; by default the one that is beside
-      the policy, or in its run.
+    encoder: folder of the policy's encoder; by default the one beside the
+      policy, or in its run.
 
   Raises:
     FileNotFoundError: there is no such policy.
-    ValueError: a file is damaged, no encoder is where it should be, or the
-      policy has no latents.
+    ValueError: a file is damaged, the encoder is missing, or the policy has no
+      latents.
   """
   policy = pretrained.load(name)
   if np.array_equal(policy.mode_set.latents, np.eye(len(policy.mode_set))):
@@ -197,7 +196,7 @@ def find_encoder(name: str) -> pathlib.Path:
   """Returns the folder of the encoder that belongs to a policy.
 
   Raises:
-    ValueError: there is none beside it, nor in its run.
+    ValueError: there is none beside the policy, nor in its run.
   """
   path = pathlib.Path(name)
   folders = [
@@ -221,7 +220,7 @@ def find_encoder(name: str) -> pathlib.Path:
 
 
 def _trained_with(policy: pretrained.Policy) -> run_config.RunConfig:
-  """Returns what a policy tells of its training, in words of this version."""
+  """Returns the training configuration of a policy, with current keys."""
   try:
     return run_config.from_dict(policy.provenance['run'])
   except (KeyError, ValueError):

@@ -1,4 +1,4 @@
-"""Runs of one command in several processes, which `torchrun` has started."""
+"""Runs of one command in several processes, started by `torchrun`."""
 
 import os
 import pathlib
@@ -10,7 +10,7 @@ import torch
 from dmc_multimode.agents import distributed
 from dmc_multimode.utils import files
 
-_EXIT_ERROR = 2  # As `bin.app` exits where the user can put it right.
+_EXIT_ERROR = 2  # Exit code of `bin.app` for errors that the user can mend.
 
 
 def run(
@@ -19,12 +19,12 @@ def run(
 ) -> int:
   """Calls a function in every process; returns the exit code of this one.
 
-  An error that all processes meet is raised at rank 0 alone, so that it is told
-  once. A lost connection is told by all who lose it.
+  An error of all processes is raised at rank 0 only, so that it is reported
+  once. Every process reports a lost connection.
 
   Args:
-    function: gets what connects the processes.
-    device: on which it may exchange tensors, besides the CPU.
+    function: receives the communicator; returns an exit code.
+    device: of tensors to exchange, besides the CPU.
   """
   rank = 0
   try:
@@ -38,20 +38,20 @@ def run(
 
 
 def name() -> str:
-  """Names this launch of `torchrun`, all restarts included; '' without one."""
+  """Returns the id of this `torchrun` launch, restarts included, or ''."""
   given = os.environ.get('TORCHELASTIC_RUN_ID', '')
-  # What torchrun calls a launch that was given no name.
+  # The id of a launch without a name.
   return f'{socket.gethostname()}:{os.getppid()}' if given == 'none' else given
 
 
 def note(path: pathlib.Path) -> None:
-  """Writes down in a file which launch, if any, begins a run."""
+  """Writes the id of this launch into a file of the run it begins."""
   if name():
     files.write(path, name().encode())
 
 
 def is_restart(path: pathlib.Path) -> bool:
-  """Returns whether this launch has noted itself, in processes that died."""
+  """Returns whether this torchrun launch began the run: it is a restart."""
   return (
     bool(name())
     and path.is_file()

@@ -1,14 +1,14 @@
-"""The folder of a run: every name in it, and what is read and written there.
+"""The folder of a run: all its files, and reading and writing them.
 
 config.json             configuration, modes and latents
 encoder/                the mode encoder, but for one-hot commands
-initial/                the policy that the run began with, if with any
-checkpoint.safetensors  what a resumed run needs, and the one before it
+initial/                the initial policy, if any
+checkpoint.safetensors  state for `--resume`; the previous one beside it
 policy/                 the newest policy
-policies/STEPS/         those kept for good
+policies/STEPS/         policies that are kept permanently
 metrics.csv             a row every few iterations
 tensorboard/            the same
-launch                  which launch of `torchrun` began it
+launch                  id of the launch of `torchrun` that began the run
 """
 
 import json
@@ -39,7 +39,7 @@ class RunFolder:
   """
 
   def __init__(self, path: str | os.PathLike[str]):
-    """Makes nothing."""
+    """Refers to a folder; creates nothing."""
     self.path = pathlib.Path(path)
     self.checkpointer = checkpointing.Checkpointer(self.path)
     self.config = self.path / CONFIG_FILE
@@ -51,21 +51,21 @@ class RunFolder:
     self.launch = self.path / 'launch'
 
   def kept_policy(self, steps: int) -> pathlib.Path:
-    """Returns where the policy after so many steps is kept for good."""
+    """Returns the folder of the policy kept after `steps`."""
     return self.path / 'policies' / str(steps)
 
   def holds_run(self) -> bool:
-    """Returns whether a run has begun here."""
+    """Returns True if the folder holds a run."""
     return self.config.exists() or self.checkpointer.exists()
 
   def save(
     self, config: run_config.RunConfig, mode_set: mode_set_lib.ModeSet
   ) -> None:
-    """Writes what a run needs to be resumed, besides its checkpoint."""
+    """Writes configuration and modes, for a resumed run."""
     files.write(self.config, describe(config, mode_set).encode())
 
   def load(self) -> Description:
-    """Reads what `save` wrote.
+    """Returns the configuration and modes that `save` wrote.
 
     Raises:
       FileNotFoundError: the folder holds no run.
@@ -84,11 +84,11 @@ class RunFolder:
   def load_initial(
     self, config: run_config.RunConfig
   ) -> policy_lib.Policy | None:
-    """Reads the policy that the run has begun with, if with any.
+    """Returns the initial policy, or None without one.
 
     Raises:
-      FileNotFoundError: the run lacks it.
-      ValueError: it is damaged.
+      FileNotFoundError: the policy is missing.
+      ValueError: the policy is damaged.
     """
     return policy_lib.load(self.initial) if config.init_from else None
 
@@ -96,7 +96,7 @@ class RunFolder:
 def describe(
   config: run_config.RunConfig, mode_set: mode_set_lib.ModeSet
 ) -> str:
-  """Returns JSON from which `parse` makes the same again."""
+  """Returns configuration and modes as JSON, for `parse`."""
   description = {
     'run': run_config.to_dict(config),
     **mode_files.mode_set_to_dict(mode_set),
@@ -105,7 +105,7 @@ def describe(
 
 
 def parse(text: str) -> Description:
-  """Returns what `describe` was given; raises ValueError for anything else."""
+  """Returns the arguments of `describe`; raises ValueError for other text."""
   try:
     description = json.loads(text)
     mode_set = mode_files.mode_set_from_dict(description)

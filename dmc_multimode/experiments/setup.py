@@ -1,4 +1,4 @@
-"""Connects the parts of a training run."""
+"""Builds the parts of a training run."""
 
 import dataclasses
 from typing import Any
@@ -20,12 +20,12 @@ from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import episodes
 
-_FLAT_SEGMENTS = 2  # The ground and the step of at most one command.
-_OBSTACLE_SEGMENTS = 3  # The ground and what each of two commands may meet.
+_FLAT_SEGMENTS = 2  # The ground and the ledge of at most one command.
+_OBSTACLE_SEGMENTS = 3  # The ground, and two obstacles.
 
 
 def check_ranks(config: run_config.RunConfig, ranks: int) -> None:
-  """Raises ValueError where so many processes cannot share the worlds."""
+  """Raises ValueError if the worlds do not divide among `ranks`."""
   if config.num_worlds % ranks:
     raise ValueError(
       f'num_worlds {config.num_worlds} is the total over all processes: '
@@ -40,9 +40,9 @@ class Run:
   Attributes:
     config: of the run.
     environment: the worlds.
-    network: what is learned.
-    loop: collects and learns.
-    initial: the policy that it has begun with, if any.
+    network: the trained network.
+    loop: the training loop.
+    initial: the initial policy, if any.
   """
 
   config: run_config.RunConfig
@@ -52,7 +52,7 @@ class Run:
   initial: policy_lib.Policy | None = None
 
   def policy(self) -> policy_lib.Policy:
-    """Returns the policy as it is now."""
+    """Returns the current policy."""
     provenance: dict[str, Any] = {
       'steps': self.loop.steps,
       'run': run_config.to_dict(self.config),
@@ -78,14 +78,14 @@ def build(
   """Connects environment, agent and loop; nothing is trained yet.
 
   Args:
-    config: of the run, which `check_ranks` has seen.
+    config: of the run, checked by `check_ranks`.
     mode_set: its modes.
     communicator: of the ranks, each of which builds its own part.
-    device: on which the network is, and learns.
-    initial: whose weights the network begins with, if any; only rank 0's
-      matters.
+    device: of the network.
+    initial: policy with the initial weights, if any; ignored at ranks other
+      than 0.
   """
-  # Two threads at once, see `agents.pair`, each with its share of all.
+  # Two threads (see `agents.pair`) share this rank's threads.
   torch.set_num_threads(max(config.threads // 2, 1))
   environment = _make_environment(config, mode_set, communicator)
   about = _describe(config, environment, device)
@@ -122,7 +122,7 @@ def _make_environment(
   mode_set: mode_set_lib.ModeSet,
   communicator: distributed.Communicator,
 ) -> batched_env.BatchedImitation:
-  """Returns this rank's worlds, in which Algorithm 1 chooses the episodes."""
+  """Returns this rank's worlds, with episodes of Algorithm 1."""
   task = multimode_biped.make_task(
     mode_set,
     episodes.TransitionEpisodes(
@@ -151,7 +151,7 @@ def _describe(
   environment: batched_env.BatchedImitation,
   device: torch.device | str,
 ) -> core.EnvironmentDescription:
-  """Returns what the agent must know of the worlds."""
+  """Returns the description of the worlds for the agent."""
   latents = environment.mode_set.latents
   mirror = None
   if config.ppo.symmetry != 'none':
@@ -172,7 +172,7 @@ def _make_reference(
   about: core.EnvironmentDescription,
   network: networks.ActorCritic,
 ) -> kickstarting.ReferencePolicy | None:
-  """Returns the policy to stay near to, which the network begins as."""
+  """Returns the kickstarting policy, a copy of `network`; may be None."""
   if not (
     config.init_from and config.ppo.kickstarting_weight and about.mode_of
   ):

@@ -1,32 +1,40 @@
-"""Mirror images and modes of the imitation task, as an agent is told them."""
+"""Mirror images and modes of observations, as torch functions for agents."""
 
 import numpy as np
 import torch
 
+from dmc_multimode.suite.imitation import observations as task_observations
 from dmc_multimode.suite.imitation import symmetry as task_symmetry
-
-_COMMAND = 2  # Where the running mode's latent begins, after the clock.
 
 
 class ModeOf:
-  """Tells which mode an observation commands, by its latent.
+  """Maps observations to mode indices, by the nearest latent.
 
   Attributes:
-    part: where the latent is in an observation.
+    part: place of the latent in an observation.
   """
 
   def __init__(
     self,
     latents: np.ndarray,
-    start: int = _COMMAND,
+    start: int | None = None,
     device: torch.device | str = 'cpu',
   ):
-    """Knows the modes' `latents`, [M, n_m], at `start` of observations."""
+    """Compares with `latents`, [M, n_m].
+
+    Args:
+      latents: of all modes, [M, n_m].
+      start: of the latent in observations; by default that of the running mode.
+      device: of observations.
+    """
     self._latents = torch.tensor(latents, device=device)
-    self.part = slice(start, start + latents.shape[1])
+    latent_dim = latents.shape[1]
+    if start is None:
+      start = task_observations.part('command', latent_dim).start
+    self.part = slice(start, start + latent_dim)
 
   def __call__(self, observations: torch.Tensor) -> torch.Tensor:
-    """Returns indices of modes for raw observations [N, D], [N]."""
+    """Returns mode indices for raw observations [N, D], [N]."""
     command = observations[:, self.part]
     return torch.cdist(command, self._latents).argmin(dim=1)
 
@@ -40,7 +48,7 @@ class Mirror:
     latents: np.ndarray,
     device: torch.device | str = 'cpu',
   ):
-    """Mirrors as `image` says, with the modes' `latents`, [M, n_m]."""
+    """Moves `image` and the modes' `latents`, [M, n_m], to `device`."""
     on_device = lambda values: torch.from_numpy(values).to(device)
     self._order = on_device(image.observation_order)
     self._signs = on_device(image.observation_signs)
@@ -49,6 +57,7 @@ class Mirror:
     self._mirrored = torch.tensor(latents, device=device)[
       on_device(image.mirrored_modes)
     ]
+    self._clock = task_observations.part('clock', latents.shape[1])
     self._clock_signs = on_device(image.clock_signs)
     self._commands = [
       ModeOf(latents, start, device) for start in image.commands
@@ -66,7 +75,8 @@ class Mirror:
     modes = [mode_of(observations) for mode_of in self._commands]
     for mode_of, mode in zip(self._commands, modes, strict=True):
       mirrored[:, mode_of.part] = self._mirrored[mode]
-    mirrored[:, :2] = observations[:, :2] * self._clock_signs[modes[0], None]
+    signs = self._clock_signs[modes[0], None]
+    mirrored[:, self._clock] = observations[:, self._clock] * signs
     return mirrored
 
   def actions(self, actions: torch.Tensor) -> torch.Tensor:

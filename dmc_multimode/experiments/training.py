@@ -1,6 +1,6 @@
-"""Trains a policy: in a new run or one that goes on.
+"""Trains a policy, in a new or a resumed run.
 
-What `python -m dmc_multimode.bin.train` does, as a function.
+`python -m dmc_multimode.bin.train` as a function.
 """
 
 import dataclasses
@@ -55,23 +55,24 @@ def train(
   communicator: distributed.Communicator = distributed.LOCAL,
   **overrides: Any,
 ) -> policy_lib.Policy:
-  """Trains until so many steps, the time is up or a signal asks to stop.
+  """Trains up to `steps`, the time limit or a signal.
 
   Args:
     run_dir: folder of the run; see `run_folder`.
-    modes: name of a mode set, names of modes, or motions of one's own, whose
-      latents an encoder makes; by default those of `quickstart`, or with
+    modes: name of a mode set, names of modes, or `ReferenceMotion`s, for which
+      an encoder makes latents; by default those of `quickstart`, or with
       `init_from` those of the policy and of `mode_file`.
-    steps: environment steps, summed over all worlds, in all.
-    resume: goes on with the run that is there, as if nothing had happened.
-    init_from: a policy to begin with, shipped or a folder; its task and network
+    steps: environment steps, summed over all worlds, since the start.
+    resume: continues the run in the folder, bit for bit.
+    init_from: initial policy, a shipped one or a folder; its task and network
       become defaults.
     mode_file: YAML or JSON file of further modes.
     encoder: folder of a trained encoder; trained first by default.
-    minutes: of wall-clock time, after which it stops.
-    keep_every: environment steps between policies kept for good; 0 keeps none.
-    device: where networks are, and learn.
-    wandb_project: of Weights and Biases, to log to as well.
+    minutes: wall-clock limit.
+    keep_every: environment steps between policies that are kept permanently; 0
+      keeps none.
+    device: of the networks.
+    wandb_project: project of Weights and Biases to log to.
     communicator: of the ranks that train together; each calls this, and rank 0
       alone writes and prints.
     **overrides: other fields of `RunConfig`, named as the flags are:
@@ -79,13 +80,13 @@ def train(
       `task_events_push_speed='0:0.5@8e6'`.
 
   Returns:
-    The policy, which is in the run's folder too.
+    The policy, also written to the run's folder.
 
   Raises:
-    FileNotFoundError: there is no run to resume, or no such policy.
+    FileNotFoundError: the run to resume or the policy does not exist.
     ValueError: in one line, a setting is wrong, contradicts the run that is
       resumed, or the folder already holds one.
-    FloatingPointError: the learner met numbers that are not finite.
+    FloatingPointError: a rollout or an update is not finite.
   """
   try:
     # By name, which is how an error calls them.
@@ -112,7 +113,7 @@ def train(
 
 
 def _named(modes: Modes | None) -> tuple[str | None, Motions]:
-  """Returns names, comma-separated, and those that are motions of one's own."""
+  """Returns mode names, comma-separated, and the motions among `modes`."""
   if modes is None or isinstance(modes, str):
     return modes, ()
   if isinstance(modes, mode_set_lib.ModeSet):
@@ -124,7 +125,7 @@ def _named(modes: Modes | None) -> tuple[str | None, Motions]:
 
 @dataclasses.dataclass(frozen=True)
 class _Request:
-  """What was asked for; see `train`."""
+  """Arguments of `train`."""
 
   folder: run_folder.RunFolder
   modes: str | None
@@ -138,7 +139,7 @@ class _Request:
   def configure(
     self, start: fine_tuning.Start | None
   ) -> tuple[run_config.RunConfig, Motions]:
-    """Returns configuration and modes of a new run."""
+    """Returns the configuration and modes of a new run."""
     extra = self.motions
     if self.mode_file:
       extra = (*extra, *mode_files.load(self.mode_file))
@@ -166,7 +167,7 @@ class _Request:
     setup.check_ranks(config, ranks)
     mode_set = mode_set_lib.one_hot(motions)
     if config.ppo.symmetry != 'none':
-      task_symmetry.mirror_image(mode_set)  # Raises where there is none.
+      task_symmetry.mirror_image(mode_set)  # Raises without one.
     encoder = None
     if self.encoder and not start and not config.one_hot:
       encoder = mode_encoder.load(self.encoder)
@@ -192,7 +193,7 @@ class _Request:
     return config, mode_set
 
   def resume(self, ranks: int) -> run_folder.Description:
-    """Reads a run back; what contradicts it is an error."""
+    """Reads a run; arguments that contradict it raise ValueError."""
     config, mode_set = self.folder.load()
     given = dict(self.overrides)
     given |= {
@@ -225,7 +226,7 @@ def _train_encoder(motions: Motions, seed: int) -> mode_encoder.ModeEncoder:
 
 @dataclasses.dataclass(frozen=True)
 class _Opened:
-  """A run that begins or goes on; rank 0 alone knows all of it."""
+  """A new or resumed run; complete at rank 0 only."""
 
   description: run_folder.Description
   has_checkpoint: bool
@@ -238,7 +239,7 @@ class _Opened:
 def _open(
   request: _Request, resume: bool, communicator: distributed.Communicator
 ) -> _Opened:
-  """Opens the run at rank 0, which tells the others what they need of it."""
+  """Opens the run at rank 0, and broadcasts its configuration."""
   folder, opened = request.folder, []
 
   def at_first() -> str:
@@ -271,7 +272,7 @@ def _build(
   device: torch.device,
   communicator: distributed.Communicator,
 ) -> setup.Run:
-  """Builds this rank's part of a new run, or of one that goes on."""
+  """Builds this rank's part of a new or resumed run."""
   opened = _open(request, resume, communicator)
   run = setup.build(*opened.description, communicator, device, opened.initial)
   if opened.is_new:
@@ -334,7 +335,7 @@ def _make_logger(
 
 
 class _Stop:
-  """Asks the loop to end at the first SIGINT or SIGTERM, while it is open."""
+  """Context in which the first SIGINT or SIGTERM ends the loop."""
 
   _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -343,7 +344,7 @@ class _Stop:
     self._before: dict[int, Any] = {}
 
   def __enter__(self) -> '_Stop':
-    # Python hands signals to the main thread alone.
+    # Python delivers signals to the main thread only.
     if threading.current_thread() is threading.main_thread():
       for number in self._SIGNALS:
         self._before[number] = signal.signal(number, self._handle)

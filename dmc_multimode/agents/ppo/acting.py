@@ -1,4 +1,4 @@
-"""Actors: the policy as something that selects actions."""
+"""Actors: select actions by a policy, for training and for dm_env."""
 
 from typing import Any, Mapping
 
@@ -21,7 +21,7 @@ class BatchedActor:
     config: ppo_config.PPOConfig | None = None,
     threads: pair.Pair | None = None,
   ):
-    """Acts with `network`; `seed` is that of the exploration."""
+    """Acts with `network`; `seed` is of the exploration noise."""
     self._network = network
     self._generator = torch.Generator().manual_seed(seed)
     self._config = config or ppo_config.PPOConfig()
@@ -32,7 +32,7 @@ class BatchedActor:
   def sample(
     self, observation: torch.Tensor, steps: int = 0
   ) -> networks.Sample:
-    """Explores, but in the deterministic worlds; all is on the CPU.
+    """Samples actions, without noise in deterministic worlds, on the CPU.
 
     Args:
       observation: float32 [B, D].
@@ -49,7 +49,7 @@ class BatchedActor:
     return networks.Sample(action, networks.log_prob(action, mean, std), mean)
 
   def _change_deterministic(self, num_worlds: int, share: float) -> None:
-    """Draws which worlds stop to explore, and which begin again."""
+    """Draws the worlds whose noise stops or starts in this step."""
     if len(self._deterministic) != num_worlds:
       self._deterministic = torch.zeros(num_worlds, dtype=torch.bool)
     end = 1 / self._config.deterministic_steps
@@ -65,15 +65,15 @@ class BatchedActor:
     return self._act(torch.from_numpy(observation)).numpy()
 
   def _act(self, observation: torch.Tensor) -> torch.Tensor:
-    """Asks the network, wherever it is."""
+    """Returns mean actions of the network, on any device, on the CPU."""
     rows = observation.to(self._network.log_std.device)
     return self._threads.map_rows(self._network.act, rows).cpu()
 
   def state(self) -> dict[str, torch.Tensor]:
-    """Returns the generator, and which worlds act without noise."""
+    """Returns the generator's state and the mask of deterministic worlds."""
     state = {'generator': self._generator.get_state()}
     if self._config.most_deterministic:
-      state['quiet'] = self._deterministic.clone()  # As checkpoints have it.
+      state['quiet'] = self._deterministic.clone()  # Checkpoints have this key.
     return state
 
   def restore(self, state: Mapping[str, torch.Tensor]) -> None:
@@ -90,7 +90,7 @@ class FeedForwardActor:
   """
 
   def __init__(self, network: networks.ActorCritic):
-    """Acts with the mean of `network`; learns nothing."""
+    """Acts with the mean of `network`."""
     self._network = network
 
   @torch.no_grad()
@@ -101,20 +101,20 @@ class FeedForwardActor:
     return self._network.act(batch)[0].double().numpy()
 
   def observe_first(self, timestep: dm_env.TimeStep) -> None:
-    """Takes the first time step of an episode."""
+    """Does nothing: the actor does not learn."""
 
   def observe(self, action: np.ndarray, next_timestep: dm_env.TimeStep) -> None:
-    """Takes what an action led to."""
+    """Does nothing: the actor does not learn."""
 
   def update(self, wait: bool = False) -> None:
-    """Fetches nothing: the network is shared."""
+    """Does nothing: the network is shared."""
 
 
 class EnvironmentLoop:
   """Runs an actor in one dm_env environment."""
 
   def __init__(self, environment: dm_env.Environment, actor: FeedForwardActor):
-    """Connects the two."""
+    """Connects `environment` and `actor`."""
     self._environment, self._actor = environment, actor
 
   def run_episode(self) -> dict[str, Any]:

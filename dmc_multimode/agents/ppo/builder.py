@@ -1,4 +1,4 @@
-"""Puts the parts of PPO together."""
+"""Factory of the parts of PPO."""
 
 from typing import Mapping
 
@@ -16,7 +16,7 @@ from dmc_multimode.agents.ppo import networks
 
 
 class PPOBuilder:
-  """Makes networks, learner and actors for one environment and seed."""
+  """Makes networks, learner and actor for one environment and seed."""
 
   def __init__(
     self,
@@ -27,17 +27,16 @@ class PPOBuilder:
     device: torch.device | str = 'cpu',
     parallel: bool = False,
   ):
-    """Makes what one of the communicating ranks has.
+    """Prepares the parts of one rank.
 
     Args:
       config: hyperparameters.
-      environment: in which the agent acts.
-      seed: all randomness of the agent derives from it, and that of minibatches
-        and exploration from the rank too.
+      environment: description of the environment.
+      seed: of all randomness of the agent; minibatches and exploration also
+        depend on the rank.
       communicator: connects the ranks.
-      device: on which networks are, and learn.
-      parallel: whether actor and learner may use a second thread. Results do
-        not depend on it.
+      device: of networks and updates.
+      parallel: allows actor and learner a second thread; results are the same.
     """
     self._config, self._seed = config, seed
     self._environment = environment
@@ -54,7 +53,7 @@ class PPOBuilder:
     """Returns networks, freshly initialised or with `weights`.
 
     Args:
-      weights: of such networks, for all ranks; only those of rank 0 matter.
+      weights: state dictionary to start from; ignored at ranks other than 0.
       policy, value: see `networks.ActorCritic`.
     """
     about = self._environment
@@ -73,7 +72,7 @@ class PPOBuilder:
       ).to(self._device)
     if weights is not None:
       network.load_state_dict(weights)
-    # Another kind of machine may round another way.
+    # Machines of another kind may round differently.
     self._communicator.broadcast(list(network.state_dict().values()))
     return network
 

@@ -17,19 +17,19 @@ _Sizes = Annotated[tuple[config.PositiveInt, ...], pydantic.Field(min_length=1)]
 
 @pydantic_dataclasses.dataclass(frozen=True, config=config.STRICT)
 class PPOConfig:
-  """Everything that the learner can be tuned by.
+  """Configuration of the PPO learner.
 
   Attributes:
     hidden_sizes: widths of the hidden layers of policy and value networks.
     activation: of the hidden layers, 'elu', 'silu' or 'tanh'.
-    rollout_length: control steps a world and iteration.
+    rollout_length: control steps per world and iteration.
     discount: gamma.
     gae_lambda: lambda of generalised advantage estimation.
     epochs: passes over each iteration's data.
     minibatches: parts that each pass is cut into.
     clip: epsilon of the clipped surrogate objective.
     entropy_coefficient: weight of the entropy bonus.
-    learning_rate: at the start.
+    learning_rate: initial learning rate.
     target_kl: the learning rate falls when an iteration moves the policy by
       more than twice this, KL divergence, median over the samples, and rises
       when by less than half; 0 keeps it fixed.
@@ -39,17 +39,17 @@ class PPOConfig:
     max_gradient_norm: the gradients of the policy, and those of the value
       function, are scaled down to it.
     initial_std: standard deviation of the actions at the start, radians.
-    std_floor: geometric schedule of what the standard deviation does not fall
-      below, radians; without a floor the exploration collapses early. It does
-      not rise above `initial_std` either, a ceiling that falls likewise: by
-      itself the deviation stays where it is. What is learned under much noise
-      is not quite what is best without any, so the floor ends lower.
-    learn_std: learns the standard deviation; it stays as it is otherwise.
-    deterministic_fraction: schedule of the share of worlds that act without
-      exploration noise for a while, so that what a policy without exploration
-      gets into is seen in training, too. The policy learns nothing from such
-      actions, but from what it does after them.
-    deterministic_steps: mean length of such a while, control steps.
+    std_floor: lower bound of the standard deviation, radians, a geometric
+      schedule; without it exploration collapses early. The upper bound begins
+      at `initial_std` and falls in proportion, because the deviation would not
+      fall by itself. A policy learned under much noise is not the best without
+      noise, so the floor ends lower.
+    learn_std: learns the standard deviation, which is constant otherwise.
+    deterministic_fraction: share of the worlds that act without exploration
+      noise for a while, a schedule, so that training visits the states of the
+      deterministic policy. The policy learns nothing from these actions, but
+      from those that follow.
+    deterministic_steps: mean length of such periods, control steps.
     symmetry: 'augment' adds the left-right mirror image of every sample;
       'alternate' shows each pass either the sample or its image, at half of the
       cost.
@@ -57,10 +57,10 @@ class PPOConfig:
       the environment has any.
     advantages: normalised over 'all' samples, or over those of each 'mode', so
       that no mode's advantages outweigh the others'.
-    kickstarting_weight: weight of the divergence from the policy that the
-      training began with, if with any, in the modes that this one knows.
-    compile: fits networks by `torch.compile`, which takes a C++ compiler, and
-      most of a minute at the start; results round another way.
+    kickstarting_weight: weight of the divergence from the initial policy of a
+      fine-tuning, in the modes that this policy knows.
+    compile: compiles policy and value by `torch.compile`, which needs a C++
+      compiler and most of a minute at the start; results round differently.
   """
 
   hidden_sizes: _Sizes = (256, 128)
@@ -99,23 +99,23 @@ class PPOConfig:
 
   @property
   def most_deterministic(self) -> float:
-    """The largest share of worlds that ever act without noise."""
+    """Largest share of worlds that act without noise, over all steps."""
     return max(
       self.deterministic_fraction.first, self.deterministic_fraction.last
     )
 
   def std_bounds(self, steps: int) -> tuple[float, float]:
-    """Returns the least and the largest std after `steps`, radians."""
+    """Returns the bounds of the std after `steps`, radians."""
     floor = self.std_floor
     fall = (floor.last / floor.first) ** floor.share(steps)
     return floor.first * fall, max(self.initial_std, floor.first) * fall
 
 
 def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
-  """Returns the JSON of an earlier version in the words of this one.
+  """Returns an earlier version's JSON with this version's keys.
 
   Raises:
-    KeyError: it lacks what it should have.
+    KeyError: a field is missing.
   """
   if 'std_floor' in values:
     return dict(values)

@@ -1,9 +1,9 @@
-"""Keeps a policy near an earlier one in the modes that this one knows.
+"""Kickstarting: keeps a policy near an earlier one in the modes known there.
 
-What is learned for a new mode moves a network's output for the others as well,
-and what these lack in practice they lose. The divergence from the policy that a
-training began with (as in Schmitt et al. 2018, Kickstarting Deep Reinforcement
-Learning) holds them without a word about the new mode.
+Learning a new mode also changes a network's actions in the other modes, which
+are then forgotten unless they are practised. A penalty on the divergence from
+the policy that a training began with (as in Schmitt et al. 2018, Kickstarting
+Deep Reinforcement Learning) keeps the known modes, and leaves the new one free.
 """
 
 import copy
@@ -16,7 +16,7 @@ from dmc_multimode.agents.ppo import networks
 
 
 class ReferencePolicy:
-  """A policy as it is now, near which another is to stay in some modes."""
+  """Frozen copy of a policy: the reference of the divergence."""
 
   def __init__(
     self,
@@ -27,8 +27,8 @@ class ReferencePolicy:
     """Copies a policy.
 
     Args:
-      network: the policy; what it becomes does not matter.
-      mode_of: tells modes by raw observations.
+      network: the policy; later changes of it have no effect.
+      mode_of: maps raw observations to mode indices.
       known: whether the policy knows each mode, [M].
     """
     self._network = copy.deepcopy(network).requires_grad_(False)
@@ -37,9 +37,9 @@ class ReferencePolicy:
 
   @torch.no_grad()
   def means(self, observations: torch.Tensor) -> torch.Tensor:
-    """Returns its actions for raw observations [N, D], [N, A].
+    """Returns mean actions for raw observations [N, D], [N, A].
 
-    They are NaN where the mode is none that it knows.
+    The means are NaN in modes that the policy does not know.
     """
     means = self._network.act(observations)
     known = self._known[self._mode_of(observations)]
@@ -56,10 +56,10 @@ def divergence(
 
   Args:
     mean: [N, A].
-    std: of all of them, [A].
-    reference: the reference means, NaN where any mean will do, [N, A].
+    std: standard deviation of both, [A].
+    reference: reference means, NaN for rows that do not count, [N, A].
   """
-  # A NaN must not come near a gradient, not even with a factor of 0.
+  # NaNs must not reach the gradient: 0 * NaN is NaN.
   reference = torch.where(reference.isnan(), mean.detach(), reference)
   distances = 0.5 * ((mean - reference) / std.detach()).square().sum(dim=-1)
   return distances.mean()

@@ -17,7 +17,7 @@ from dmc_multimode.agents.ppo import optimiser
 from dmc_multimode.agents.ppo import rollouts as rollouts_lib
 
 _LEARNING_RATE_STEP = 1.2  # Factor of each adaptation.
-_KL_STRIDE = 8  # Every so many samples enter the estimate of the KL.
+_KL_STRIDE = 8  # Stride of the samples from which the KL is estimated.
 
 Metrics = dict[str, torch.Tensor]
 
@@ -25,16 +25,15 @@ Metrics = dict[str, torch.Tensor]
 class PPOLearner:
   """Updates an `ActorCritic` in place.
 
-  Policy and value function share nothing, so that each is fitted by itself, and
-  two threads can fit both at once.
+  Policy and value function share no weights, so that two threads fit them in
+  parallel.
 
-  Several ranks, each with rollouts of its own, learn one network: whatever is
-  computed over samples is computed over those of all ranks, so that all hold
-  the same network to the bit. Only minibatches are drawn by each for itself.
+  Several ranks, each with its own rollouts, train one network: statistics and
+    gradients are over the samples of all ranks, so that all hold the same
+    network to the bit. Each rank draws its own minibatches.
 
   Attributes:
-    network: what is learned.
-    learning_rate: as it has been adapted.
+    network: the trained network. learning_rate: current learning rate.
   """
 
   def __init__(
@@ -51,18 +50,18 @@ class PPOLearner:
     """Creates the optimisers.
 
     Args:
-      network: what is learned, where it is to be learned.
+      network: to be trained, on its device.
       config: hyperparameters.
       seed: of the minibatches.
-      symmetry: needed where `config.symmetry` is not 'none'.
-      mode_of: needed where `config.advantages` is 'mode'.
-      threads: fit policy and value function; this one alone by default.
-      communicator: connects the ranks that learn this network.
-      reference: what to stay near to, if anything.
+      symmetry: required unless `config.symmetry` is 'none'.
+      mode_of: required if `config.advantages` is 'mode'.
+      threads: for policy and value function; the calling one by default.
+      communicator: connects the ranks that train this network.
+      reference: policy to stay near to, for kickstarting.
 
     Raises:
-      ValueError: the configuration asks for what is not given, or for a
-        compiler where there is none.
+      ValueError: the configuration requires an argument or a compiler that is
+        missing.
     """
     self.network, self._config = network, config
     self._communicator = communicator
@@ -79,7 +78,7 @@ class PPOLearner:
       p for p in network.parameters() if p.requires_grad and id(p) not in theirs
     ]
     self._policy = optimiser.Optimiser(policy, config, communicator)
-    # A thread of its own must not come between the operations of this one.
+    # Two threads must not interleave collective operations on one group.
     self._value = optimiser.Optimiser(value, config, communicator.split())
     self._means, self._values = network.mean, network.values
     if config.compile:
@@ -92,7 +91,7 @@ class PPOLearner:
   def step(
     self, rollouts: rollouts_lib.Rollouts, steps: int
   ) -> dict[str, float]:
-    """Learns from one iteration's rollouts; returns metrics by name.
+    """Updates the network by one iteration's rollouts; returns metrics.
 
     Args:
       rollouts: of this rank.
@@ -100,7 +99,7 @@ class PPOLearner:
 
     Raises:
       FloatingPointError: the rollouts or the update are not finite, at any
-        rank; the network is left as it was before this step.
+        rank; the network is as before this step.
     """
     device = self.network.log_std.device
     rollouts = rollouts_lib.Rollouts(*(field.to(device) for field in rollouts))
@@ -141,7 +140,7 @@ class PPOLearner:
   def _fit(
     self, samples: rollouts_lib.Samples, std_bounds: tuple[float, float]
   ) -> list[Metrics]:
-    """Learns from minibatches in turn; returns the metrics of each."""
+    """Fits minibatches one by one; returns the metrics of each."""
     device, config = self.network.log_std.device, self._config
     orders = rollouts_lib.passes(
       len(samples.advantages), config, self._generator
@@ -164,7 +163,7 @@ class PPOLearner:
     std_bounds: tuple[float, float],
   ) -> Metrics:
     config, network = self._config, self.network
-    # Not by indexing, which takes four times as long.
+    # Indexing takes four times as long.
     take = lambda field: field.index_select(0, ids)
     mean = self._means(take(samples.observations))
     std = network.std
@@ -182,7 +181,7 @@ class PPOLearner:
       loss = loss + config.kickstarting_weight * drift
       metrics['loss/kickstarting'] = drift.detach()
     norm = self._policy.step(loss)
-    # The parameter itself: one that has left its bounds must feel the gradient.
+    # Not clamped: outside its bounds the parameter needs its gradient.
     network.bound_std(*std_bounds)
     return {
       'loss/policy': surrogate.detach(),
@@ -204,10 +203,10 @@ class PPOLearner:
   def _divergence(
     self, samples: rollouts_lib.Samples, old_std: torch.Tensor
   ) -> float:
-    """Returns how far this step moved the policy: median of KL(old || new).
+    """Returns the median of KL(old || new) over samples, nats.
 
-    A few samples of robots that tumble, where the policy is steep and nothing
-    is at stake, make up most of the mean.
+    The mean would be dominated by a few samples of robots that tumble, where
+    the policy is steep.
     """
     divergences = networks.kl_divergence(
       samples.means[::_KL_STRIDE],
@@ -220,11 +219,11 @@ class PPOLearner:
     return float(self._communicator.gather(divergences).median())
 
   def _adapt_learning_rate(self, kl: float, std_floor: float) -> None:
-    """Holds the KL divergence of an iteration near its target."""
+    """Adapts the learning rate to the KL divergence of an iteration."""
     config, rate = self._config, self.learning_rate
     if not config.target_kl:
       return
-    # A step is as long as it is in standard deviations.
+    # The KL measures steps in units of the standard deviation.
     scale = std_floor / config.std_floor.first
     if kl > 2 * config.target_kl:
       rate = max(rate / _LEARNING_RATE_STEP, config.min_learning_rate * scale)
@@ -267,7 +266,7 @@ class PPOLearner:
 
 def _check_compiler() -> None:
   """Raises ValueError where torch.compile finds no compiler."""
-  compiler = os.environ.get('CXX', 'g++')  # As torch looks for it.
+  compiler = os.environ.get('CXX', 'g++')  # The search of torch itself.
   if not shutil.which(compiler):
     raise ValueError(
       f'--ppo_compile needs a C++ compiler, and there is no {compiler}: '
@@ -278,7 +277,7 @@ def _check_compiler() -> None:
 def part_of(
   state: Mapping[str, torch.Tensor], prefix: str
 ) -> dict[str, torch.Tensor]:
-  """Returns what has names that begin with `prefix`, by the rest of them."""
+  """Returns entries whose key starts with `prefix`, prefix removed."""
   return {
     key.removeprefix(prefix): value
     for key, value in state.items()

@@ -1,4 +1,4 @@
-"""Advantages and losses of PPO, as free functions."""
+"""Advantages and losses of PPO."""
 
 import torch
 
@@ -18,7 +18,7 @@ def generalised_advantages(
   Args:
     rewards: r_t, [T, B].
     values: v(o_t), [T, B].
-    next_values: v of what was seen after step t, before any reset, [T, B].
+    next_values: v(o_{t+1}), of the observation before any reset, [T, B].
     discounts: gamma times the environment's discount, [T, B]: 0 where the
       episode terminated, gamma at a time limit.
     last: whether the episode ended with step t, [T, B]: no advantage flows
@@ -54,7 +54,7 @@ def normalised(
     _, mean, std = communicator.moments(advantages)
     return (advantages - mean) / (std + 1e-8)
   result = torch.zeros_like(advantages)
-  # Every rank must go through all groups, whichever of them it has.
+  # Collective operations: every rank loops over all groups.
   for group in range(int(communicator.gather(groups.max()[None]).max()) + 1):
     mine = groups == group
     count, mean, std = communicator.moments(advantages[mine])

@@ -11,7 +11,7 @@ from dmc_multimode.agents import distributed
 
 _VARIANCE_FLOOR = 1e-4
 ACTIVATIONS = {'elu': nn.ELU, 'silu': nn.SiLU, 'tanh': nn.Tanh}
-_CLIP = 8.0  # Normalised observations beyond this many sigmas are cut off.
+_CLIP = 8.0  # Normalised observations are clipped to this many sigmas.
 
 
 class Normaliser(nn.Module):
@@ -29,7 +29,7 @@ class Normaliser(nn.Module):
     self.register_buffer('count', torch.zeros((), dtype=torch.float64))
 
   def forward(self, observation: torch.Tensor) -> torch.Tensor:
-    """Normalises observations [..., D], or the first numbers of them."""
+    """Normalises observations [..., D], or their first entries."""
     size = observation.shape[-1]
     scale = torch.rsqrt(self.variance[:size] + _VARIANCE_FLOOR)
     return ((observation - self.mean[:size]) * scale).clamp_(-_CLIP, _CLIP)
@@ -40,16 +40,16 @@ class Normaliser(nn.Module):
     observations: torch.Tensor,
     communicator: distributed.Communicator = distributed.LOCAL,
   ) -> None:
-    """Takes in a batch of observations [N, D] (Chan et al. 1979).
+    """Updates the statistics by observations [N, D] (Chan et al. 1979).
 
     Args:
       observations: of this rank; every rank has as many.
-      communicator: of the ranks that take in the batches of all of them.
+      communicator: of the ranks whose batches count together.
     """
     added = observations.shape[0] * communicator.size
     total = self.count + added
     share = float(added / total)
-    # Not by `var_mean`, which takes ten times as long.
+    # `var_mean` takes ten times as long.
     mean = observations.mean(dim=0)
     variance = (observations - mean).square().mean(dim=0)
     own_mean = mean.clone()
@@ -64,7 +64,7 @@ class Normaliser(nn.Module):
 
 
 def mlp(sizes: tuple[int, ...], activation: str = 'elu') -> nn.Sequential:
-  """A multi-layer perceptron with an activation of `ACTIVATIONS`."""
+  """Returns a multi-layer perceptron; `activation` is in `ACTIVATIONS`."""
   layers: list[nn.Module] = []
   for i, (fan_in, fan_out) in enumerate(zip(sizes, sizes[1:], strict=False)):
     if i:
@@ -89,8 +89,8 @@ def _initialise(network: nn.Sequential, gain: float) -> None:
 class ActorCritic(nn.Module):
   """pi(a | o) = N(mean(o), std^2) and v(o, p), two separate networks.
 
-  Where there is privileged information p, it follows the observation o in one
-  vector; only the value sees it, and acting does without.
+  Privileged observations p, if any, follow the observation o in one vector;
+  only the value function sees them, and acting does not need them.
   """
 
   def __init__(
@@ -105,19 +105,19 @@ class ActorCritic(nn.Module):
     policy: nn.Module | None = None,
     value: nn.Module | None = None,
   ):
-    """Initialises orthogonally; the first actions are close to one point.
+    """Initialises orthogonally; first actions are near `initial_action`.
 
     Args:
-      observation_size: D, without privileged information.
+      observation_size: D, without privileged observations.
       action_size: A.
       hidden_sizes: of both networks.
       initial_std: of the actions.
-      initial_action: what the policy does before it learns, [A]; zero if None.
-      privileged_size: P, how much more the value sees.
+      initial_action: mean action of the untrained policy, [A]; zero if None.
+      privileged_size: P, length of the privileged observations.
       activation: of the hidden layers, a name in `ACTIVATIONS`.
-      policy: any module from normalised observations [N, D] to mean actions
-        [N, A]; a multi-layer perceptron, here initialised, if None.
-      value: likewise, from [N, D + P] to [N, 1]; shares nothing with `policy`.
+      policy: module from normalised observations [N, D] to mean actions [N, A];
+        an initialised multi-layer perceptron if None.
+      value: likewise, from [N, D + P] to [N, 1]; shares no weights.
     """
     super().__init__()
     self.observation_size = observation_size
@@ -146,13 +146,13 @@ class ActorCritic(nn.Module):
 
   @torch.no_grad()
   def bound_std(self, least: float, largest: float) -> None:
-    """Moves the standard deviation of every action into bounds."""
+    """Clamps the standard deviation of every action, in place."""
     self.log_std.clamp_(math.log(least), math.log(largest))
 
   def act(self, observation: torch.Tensor) -> torch.Tensor:
     """Returns the mean actions for raw observations [..., D], [..., A].
 
-    Privileged information may follow the observations; it is not looked at.
+    Privileged observations may follow and are ignored.
     """
     seen = observation[..., : self.observation_size]
     return self.policy(self.normaliser(seen))

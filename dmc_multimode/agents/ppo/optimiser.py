@@ -1,4 +1,4 @@
-"""Gradient descent of parameters that several ranks learn together."""
+"""Adam for parameters that several ranks train together."""
 
 import math
 from typing import Mapping
@@ -11,7 +11,7 @@ from dmc_multimode.agents.ppo import config as ppo_config
 
 
 class Optimiser:
-  """Adam with clipped gradients, alike at all ranks."""
+  """Adam with clipped gradients averaged over ranks."""
 
   def __init__(
     self,
@@ -19,12 +19,12 @@ class Optimiser:
     config: ppo_config.PPOConfig,
     communicator: distributed.Communicator = distributed.LOCAL,
   ):
-    """Takes charge of parameters.
+    """Prepares the optimiser of `parameters`.
 
     Args:
-      parameters: what is learned, on one device.
+      parameters: to be optimised, on one device.
       config: hyperparameters.
-      communicator: for the thread that calls `step`, and for it alone.
+      communicator: used by the thread that calls `step` only.
     """
     self._parameters = parameters
     self._max_norm = config.max_gradient_norm
@@ -37,10 +37,10 @@ class Optimiser:
     """Takes one step along the gradient of the mean loss of all ranks.
 
     Returns:
-      The norm of the gradient before clipping.
+      Norm of the gradient before clipping.
 
     Raises:
-      FloatingPointError: it is not finite, of which all ranks learn.
+      FloatingPointError: the gradient is not finite; raised at all ranks.
     """
     self._adam.zero_grad(set_to_none=True)
     loss.backward()
@@ -57,12 +57,12 @@ class Optimiser:
     return norm
 
   def set_learning_rate(self, value: float) -> None:
-    """Decides how far the next steps go."""
+    """Sets the learning rate."""
     for group in self._adam.param_groups:
       group['lr'] = value
 
   def state(self) -> dict[str, torch.Tensor]:
-    """Returns the moments, `NUMBER/NAME`; empty before the first step."""
+    """Returns the moments as `NUMBER/NAME`; empty before the first step."""
     return {
       f'{i}/{key}': value
       for i, parameter in enumerate(self._parameters)

@@ -1,4 +1,4 @@
-"""Rollouts of a policy, and the samples that a learner makes of them."""
+"""Rollouts of a policy, and their conversion to training samples."""
 
 import functools
 from typing import Iterator, NamedTuple
@@ -21,11 +21,11 @@ class Rollouts(NamedTuple):
     observations: raw, [T, B, D].
     actions: [T, B, A].
     log_probs: of the actions when they were taken, [T, B].
-    means: of the policy then, [T, B, A].
+    means: mean actions of the policy at that time, [T, B, A].
     rewards: [T, B].
     discounts: environment discounts (0 where terminated), [T, B].
     last: whether an episode ended with the step, [T, B].
-    next_observations: what the step led to before any reset, [T, B, D].
+    next_observations: after the step, before any reset, [T, B, D].
   """
 
   observations: torch.Tensor
@@ -38,8 +38,8 @@ class Rollouts(NamedTuple):
   next_observations: torch.Tensor
 
   def is_finite(self) -> bool:
-    """Returns whether every number is finite."""
-    # A sum that is finite has finite parts, and is a tenth of the work.
+    """Returns True if all values are finite."""
+    # A finite sum has finite parts, and costs a tenth.
     return all(
       bool(torch.isfinite(field.sum()) or torch.isfinite(field).all())
       for field in self
@@ -54,10 +54,11 @@ class Samples(NamedTuple):
     observations: normalised, [N, D].
     actions: [N, A].
     log_probs: of the actions when they were taken, [N].
-    means: of the policy then, [N, A].
+    means: mean actions of the policy at that time, [N, A].
     advantages: normalised, [N].
-    targets: what the value function is to predict, [N].
-    reference_means: of the reference policy, [N, A]; [N, 0] without one.
+    targets: of the value function, [N].
+    reference_means: mean actions of the reference policy, [N, A]; [N, 0]
+      without one.
   """
 
   observations: torch.Tensor
@@ -70,7 +71,7 @@ class Samples(NamedTuple):
 
 
 class SampleMaker:
-  """Makes samples of rollouts: advantages, targets, mirror images."""
+  """Converts rollouts to samples: advantages, targets, mirror images."""
 
   def __init__(
     self,
@@ -82,10 +83,10 @@ class SampleMaker:
     threads: pair.Pair | None = None,
     communicator: distributed.Communicator = distributed.LOCAL,
   ):
-    """Evaluates with `network`; see `learning.PPOLearner` for the others.
+    """Keeps the network and options; see `learning.PPOLearner`.
 
     Raises:
-      ValueError: the configuration asks for what is not given.
+      ValueError: the configuration requires an argument that is missing.
     """
     if config.symmetry != 'none' and symmetry is None:
       raise ValueError('symmetry needs an environment that knows its mirror.')
@@ -100,7 +101,7 @@ class SampleMaker:
 
   @torch.no_grad()
   def make(self, rollouts: Rollouts) -> Samples:
-    """Returns N = T x B samples, and as many mirror images if it makes any."""
+    """Returns N = T x B samples, followed by their N mirror images, if any."""
     config, network = self._config, self._network
     seen = network.normaliser(rollouts.observations)
     flat = self._threads.map_rows(network.values, seen.flatten(0, 1))
@@ -126,7 +127,7 @@ class SampleMaker:
       self._reference_means(raw),
     )
     groups = self._mode_of(raw) if self._mode_of else None
-    # An action that was not drawn says nothing about the others.
+    # Actions without noise have no likelihood to improve.
     explored = (samples.actions != samples.means).any(dim=-1)
     samples = samples._replace(
       advantages=explored
@@ -135,13 +136,17 @@ class SampleMaker:
     return self._with_mirror_images(samples, raw)
 
   def _reference_means(self, raw: torch.Tensor) -> torch.Tensor:
-    """Returns the means to stay near to, for raw observations [N, D]."""
+    """Returns the kickstarting policy's mean actions; width 0 without one."""
     return self._reference.means(raw) if self._reference else raw[:, :0]
 
   def _next_values(
     self, rollouts: Rollouts, values: torch.Tensor
   ) -> torch.Tensor:
-    """Values after each step: the following ones but where an episode ended."""
+    """Returns bootstrap values v(o_{t+1}), [T, B].
+
+    They are the values of the next row or, at the end of an episode or of the
+    rollout, that of the last observation before the reset.
+    """
     next_values = torch.empty_like(values)
     next_values[:-1] = values[1:]
     cut = rollouts.last.clone()
@@ -170,12 +175,12 @@ class SampleMaker:
 def passes(
   count: int, config: ppo_config.PPOConfig, generator: torch.Generator
 ) -> Iterator[torch.Tensor]:
-  """Yields, for every pass, which of `count` samples it takes, in order.
+  """Yields the indices of the samples of every pass, in order.
 
   Args:
-    count: of the samples; where `config.symmetry` is 'alternate', their second
-      half are the mirror images of the first, and a pass takes one of the two.
-    config: how many passes.
+    count: number of samples. With `config.symmetry` 'alternate' the second half
+      are mirror images of the first, and a pass takes one of the two.
+    config: has the number of passes.
     generator: draws the order.
   """
   shuffle = functools.partial(torch.randperm, generator=generator)

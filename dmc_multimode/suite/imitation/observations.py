@@ -185,6 +185,16 @@ def size(latent_dim: int, privileged: bool = False) -> int:
   return sum(length for _, length in layout(latent_dim, privileged))
 
 
+def part(name: str, latent_dim: int) -> slice:
+  """Returns the place of a part in flat observations."""
+  start = 0
+  for other, length in layout(latent_dim, privileged=True):
+    if other == name:
+      return slice(start, start + length)
+    start += length
+  raise ValueError(f'{name!r} is not a part of the observation.')
+
+
 def mirror(
   latent_dim: int, privileged: bool = False
 ) -> tuple[np.ndarray, np.ndarray, tuple[int, ...]]:
