@@ -1,6 +1,6 @@
 """Deterministic evaluation: scores, gait metrics, figures and reports.
 
-One call measures everything:
+One call computes all scores:
 
     values = evaluation.evaluate('pi2', seed=0)
     values['mra_modes'], values['acceptance']['walk_forward']

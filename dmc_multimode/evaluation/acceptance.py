@@ -1,11 +1,10 @@
-"""Acceptance criteria of the modes: what the body has to do beyond the reward.
+"""Acceptance criteria of the modes: gait metrics with bounds.
 
-The reward asks for the trunk alone, and a shuffle on both feet may be paid as
-well as a walk. A mode's criteria follow from its reference: one that stands
-stays where it is; a gait keeps its speed and its height, or rises in every
-cycle where the reference does, and sets its feet down in turns where those of
-the reference alternate; a bounding mode rises and flies in every cycle; a jump
-onto a block ends on it.
+The reward measures the trunk alone, so that a shuffle on both feet may earn as
+much as a walk. A mode's criteria follow from its reference. A standing mode
+stays in place; a gait keeps its speed and height, or rises in every cycle if
+the reference does, and alternates its feet if the reference does; a bounding
+mode rises and flies in every cycle; a jump onto a block ends on it.
 """
 
 from typing import Callable, NamedTuple, Sequence
@@ -15,24 +14,24 @@ import numpy as np
 from dmc_multimode.evaluation import gait_metrics
 from dmc_multimode.modes import motion as motion_lib
 
-DURATION = 5.1  # Seconds that an episode takes to be judged by.
+DURATION = 5.1  # Seconds: length of the episodes.
 
 _DRIFT = 0.05  # Metres in `DURATION`.
-_SPEED = 1 / 6  # Of the reference's: how far off speed and turn rate may be.
-_BOB = 0.05  # Metres: how far from its mean the height of a gait may be.
+_SPEED = 1 / 6  # Tolerance of speed and turn rate, relative to the reference.
+_BOB = 0.05  # Metres: largest deviation of a gait's height from its mean.
 _ALTERNATION = 0.8  # Share of touch-downs.
 _RISE = 0.6  # Of the reference's rise.
 _FLIGHT = 0.45  # Of the reference's time in the air.
-_STANCE = 1.0  # Seconds that a jump has to stand where it led to.
+_STANCE = 1.0  # Seconds on both feet after a jump.
 
 
 class Criterion(NamedTuple):
-  """A metric of a mode and the bounds that its mean has to be in.
+  """A metric of a mode with bounds of its mean.
 
   Attributes:
-    metric: its name.
-    least, most: the bounds; infinite where there is none.
-    measure: computes it for an episode.
+    metric: name of the metric.
+    least, most: bounds; infinite for none.
+    measure: computes the metric of an episode.
   """
 
   metric: str
@@ -42,13 +41,13 @@ class Criterion(NamedTuple):
 
 
 class Finding(NamedTuple):
-  """A criterion, checked.
+  """Result of a criterion.
 
   Attributes:
-    metric: its name.
+    metric: name of the metric.
     value: mean over the episodes.
-    worst: of the episode that was farthest off.
-    least, most: the bounds.
+    worst: value of the episode farthest out of bounds.
+    least, most: bounds.
     passed: whether the mean is within them.
   """
 
@@ -73,7 +72,7 @@ def criteria(motion: motion_lib.ReferenceMotion) -> tuple[Criterion, ...]:
 def check(
   motion: motion_lib.ReferenceMotion, traces: Sequence[gait_metrics.Trace]
 ) -> tuple[Finding, ...]:
-  """Checks episodes of one mode, at clock rate 1, by its criteria."""
+  """Returns the findings of a mode's criteria for episodes at clock rate 1."""
   findings = []
   for metric, least, most, measure in criteria(motion):
     values = np.array([measure(trace) for trace in traces])
@@ -85,7 +84,7 @@ def check(
 
 
 def _of_jumps(motion: motion_lib.ReferenceMotion) -> tuple[Criterion, ...]:
-  """Returns the criteria of a mode that ends somewhere else."""
+  """Returns the criteria of a transient mode that moves: a jump."""
   if motion.ledge is None:
     return ()
   step = motion.ledge.height
@@ -95,7 +94,7 @@ def _of_jumps(motion: motion_lib.ReferenceMotion) -> tuple[Criterion, ...]:
 
 
 def _of_gaits(motion: motion_lib.ReferenceMotion) -> tuple[Criterion, ...]:
-  """Returns the criteria of a periodic mode that keeps to the ground."""
+  """Returns the criteria of a periodic mode without flight: a gait."""
   result = []
   moved = motion.positions[-1] - motion.positions[0]
   yaw = motion_lib.yaw(motion.orientations)

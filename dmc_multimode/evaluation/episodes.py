@@ -1,4 +1,4 @@
-"""Deterministic evaluation: returns, survival, and what was measured."""
+"""Evaluation episodes: returns, survival and measurements."""
 
 from typing import Any, Callable, NamedTuple
 
@@ -9,7 +9,7 @@ from dmc_multimode.agents import core as agents_core
 from dmc_multimode.agents import distributed
 
 SelectAction = Callable[[np.ndarray], np.ndarray]
-_ON_TIME = 0  # Cause of the episodes that end at their time limit.
+_ON_TIME = 0  # Cause of an end at the time limit.
 
 
 class Episodes(NamedTuple):
@@ -19,8 +19,8 @@ class Episodes(NamedTuple):
     returns: normalised returns, [B].
     survived: whether they ran to the time limit, [B].
     lengths: control steps until the end, [B].
-    traces: what the environment measured after each step by name, [T, B, ...];
-      only the first `lengths` steps of a world mean anything.
+    traces: measurements after each step by name, [T, B, ...]; only the first
+      `lengths` steps of a world are valid.
   """
 
   returns: np.ndarray
@@ -46,8 +46,8 @@ def run_episodes(
   """Runs one episode in every world.
 
   Args:
-    environment: its worlds must not begin anew by themselves.
-    select_action: observations float32 [B, D] to actions [B, A].
+    environment: must not reset its worlds itself.
+    select_action: maps observations float32 [B, D] to actions [B, A].
     progress: called after every step.
   """
   count = environment.num_worlds
@@ -73,11 +73,11 @@ def run_episodes(
 def of_all_ranks(
   episodes: Episodes, mine: np.ndarray, communicator: distributed.Communicator
 ) -> Episodes:
-  """Returns episodes of which every rank has run some.
+  """Returns all episodes, of which every rank has run some.
 
   Args:
     episodes: all B as this rank has them.
-    mine: which of them it has run; those of the ranks are all B.
+    mine: mask of the episodes that this rank has run, [B].
     communicator: of the ranks.
   """
   if communicator.size == 1:
@@ -89,7 +89,7 @@ def of_all_ranks(
   longest = int(gather(np.array(steps, dtype=np.int64)).max(initial=0))
 
   def share_trace(trace: np.ndarray) -> np.ndarray:
-    # A rank's last steps are repeated: they mean nothing.
+    # Shorter traces are padded by their last step.
     times = np.minimum(np.arange(longest), len(trace) - 1)
     rows = share(np.moveaxis(trace[times], 1, 0))
     return np.ascontiguousarray(np.moveaxis(rows, 0, 1))
@@ -103,5 +103,5 @@ def of_all_ranks(
 
 
 def summary(values: np.ndarray) -> dict[str, float]:
-  """Returns mean and standard deviation."""
+  """Returns the mean and standard deviation by name."""
   return {'mean': float(np.mean(values)), 'std': float(np.std(values))}

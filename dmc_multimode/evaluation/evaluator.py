@@ -1,4 +1,4 @@
-"""Deterministic episodes of one policy on schedules, spread over the ranks."""
+"""Deterministic episodes of one policy, distributed over the ranks."""
 
 import copy
 import dataclasses
@@ -20,21 +20,21 @@ from dmc_multimode.suite.imitation import episodes as episodes_lib
 
 
 class Policy(Protocol):
-  """Parts of a policy that are evaluated; `pretrained.Policy` has them."""
+  """Interface of policies to evaluate, such as `pretrained.Policy`."""
 
   @property
   def mode_set(self) -> mode_set_lib.ModeSet:
-    """The modes that it knows."""
+    """Modes of the policy."""
 
   def select_action(self, observation: np.ndarray) -> np.ndarray:
-    """Joint targets [B, 10] for observations [B, D], without exploration."""
+    """Returns mean joint targets [B, 10] for observations [B, D]."""
 
 
 class Evaluator:
-  """Runs schedules of one policy, one episode a world.
+  """Runs mode schedules with one policy, one episode a world.
 
-  Where there are several ranks, each runs some of the episodes, and all of them
-  get the result, which is what one process would find.
+  Of several ranks, each runs some of the episodes, and all get the same result
+  as one process would.
   """
 
   def __init__(
@@ -45,14 +45,14 @@ class Evaluator:
     quiet: bool = False,
     communicator: distributed.Communicator = distributed.LOCAL,
   ):
-    """Evaluates `policy` on the task of `config`, with progress bars or not."""
+    """Evaluates `policy` on the task of `config`; `quiet` hides progress."""
     self.policy, self.config, self.seed = policy, config, seed
     self._quiet = quiet or communicator.rank > 0
     self._communicator = communicator
     self.mode_set = policy.mode_set
 
   def changed(self, **fields: Any) -> 'Evaluator':
-    """Returns one whose task has other values in these fields."""
+    """Returns an evaluator with other values of these task fields."""
     other = copy.copy(self)
     other.config = dataclasses.replace(self.config, **fields)
     return other
@@ -60,7 +60,7 @@ class Evaluator:
   def traces(
     self, episodes: evaluation_episodes.Episodes, cycle: float
   ) -> list[gait_metrics.Trace]:
-    """Returns what the body did in episodes of a mode with that cycle, s."""
+    """Returns traces of a mode's episodes; `cycle` is in seconds."""
     return gait_metrics.traces(
       episodes.traces, episodes.lengths, self.config.control_timestep, cycle
     )
@@ -68,7 +68,7 @@ class Evaluator:
   def make_worlds(
     self, schedule: schedule_lib.ModeSchedule
   ) -> agents_core.MeasuredEnvironment:
-    """Returns a world for each row of `schedule`, none of which begins anew."""
+    """Returns a world for each row of `schedule`, without auto-reset."""
     task = multimode_biped.make_task(
       self.policy.mode_set,
       episodes_lib.ScheduledEpisodes(schedule),
@@ -82,13 +82,13 @@ class Evaluator:
       0 if is_alone else distributed.local_cores(),
       auto_reset=False,
     )
-    # All worlds draw from one stream: it takes all of them to draw the same.
-    # Those of other ranks then stand still, which costs next to nothing.
+    # All worlds draw from one stream, so that each rank needs all of them.
+    # Those of other ranks are not stepped and cost next to nothing.
     worlds.moving[:] = self._mine(schedule)
     return worlds
 
   def _mine(self, schedule: schedule_lib.ModeSchedule) -> np.ndarray:
-    """Returns whether this rank runs each row, [B]."""
+    """Returns the mask of the rows that this rank runs, [B]."""
     rows = np.arange(len(schedule))
     return rows % self._communicator.size == self._communicator.rank
 

@@ -16,18 +16,18 @@ from dmc_multimode.utils import files
 HEIGHTS_FILE, SEQUENCE_FILE = 'heights.png', 'sequence.png'
 CONTACTS_FILE, CLOCK_RATES_FILE = 'contacts.png', 'clock_rates.png'
 
-# The paper's sequence of transitions, of what modes there are.
+# The paper's sequence of transitions.
 _ORDER = ('walk_forward', 'launch', 'leap_forward', 'idle')
-_SECONDS = 2.4  # Of each mode in it; two cycles of a leap.
+_SECONDS = 2.4  # Seconds of each mode; two cycles of a leap.
 _FEET = ('left', 'right')
-_COLUMNS = 4  # Of panels in a row.
+_COLUMNS = 4  # Panels in a row.
 _LABELS = {'reference': 'reference', 'position': 'robot'}
 
 
 def empty(
   rows: int, columns: int, width: float, height: float
 ) -> tuple[matplotlib.figure.Figure, Any]:
-  """Returns a figure that needs no screen, and its axes, [rows, columns].
+  """Returns a figure without display, and its axes, [rows, columns].
 
   Args:
     rows, columns: of axes.
@@ -47,7 +47,7 @@ def save(path: pathlib.Path, drawn: matplotlib.figure.Figure) -> None:
 
 
 def png(drawn: matplotlib.figure.Figure) -> bytes:
-  """Returns a figure as the content of a PNG file."""
+  """Returns a figure as PNG, bytes."""
   content = io.BytesIO()
   drawn.savefig(content, format='png', dpi=120)
   return content.getvalue()
@@ -59,7 +59,7 @@ def heights(
   lengths: np.ndarray,
   timestep: float,
 ) -> matplotlib.figure.Figure:
-  """Draws the trunk's height beside that of the reference, a mode an axis.
+  """Draws the heights of trunk and reference, one axis a mode.
 
   Args:
     names: of the modes, one an episode, B.

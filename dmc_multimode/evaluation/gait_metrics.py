@@ -1,11 +1,11 @@
-"""Gait metrics: measures of the trunk and of the feet in an episode."""
+"""Gait metrics: motion of trunk and feet in an episode."""
 
 from typing import Iterable, Mapping, NamedTuple
 
 import numpy as np
 
-_SETTLED = 1.0  # Seconds after which a gait is what it is.
-_STANCE_HEIGHT = 0.08  # Metres: how far off the trunk may be in a stance.
+_SETTLED = 1.0  # Seconds after which a gait has settled.
+_STANCE_HEIGHT = 0.08  # Metres: tolerance of the trunk's height in a stance.
 _SAME_PLANE = 1e-3  # Metres.
 
 
@@ -14,11 +14,11 @@ class Trace(NamedTuple):
 
   Attributes:
     position: of the trunk, world metres, [T, 3].
-    reference: where it should be, likewise.
-    support: height of the plane under it, metres, [T].
+    reference: position of the reference, likewise.
+    support: height of the support plane, metres, [T].
     yaw: of the trunk, radians, [T].
     contact: feet on the ground (left, right), 0 or 1, [T, 2].
-    reference_contact: feet that should be, likewise.
+    reference_contact: contacts of the reference, likewise.
     timestep: seconds.
     cycle: seconds of a cycle of the mode.
   """
@@ -38,19 +38,19 @@ class Trace(NamedTuple):
     return self.position[:, 2] - self.support
 
   def cycles(self, values: np.ndarray) -> list[np.ndarray]:
-    """Cuts values [T, ...] into whole cycles; one part if there is none."""
+    """Returns whole cycles of values [T, ...]; all values if there is none."""
     length = max(round(self.cycle / self.timestep), 1)
     whole = len(values) // length
     return np.split(values[: whole * length], whole) if whole else [values]
 
   def settled(self, values: np.ndarray) -> np.ndarray:
-    """Drops what came before the robot was in its gait; keeps two at least."""
+    """Returns values after the start-up of the gait, two rows at least."""
     return values[
       min(round(_SETTLED / self.timestep), max(len(values) - 2, 0)) :
     ]
 
   def velocity(self, way: np.ndarray) -> np.ndarray:
-    """Mean velocity over positions [T, ...] when settled, m/s."""
+    """Returns the mean velocity of positions [T, ...] when settled, m/s."""
     way = self.settled(way)
     return (way[-1] - way[0]) / (max(len(way) - 1, 1) * self.timestep)
 
@@ -61,11 +61,11 @@ def traces(
   timestep: float,
   cycle: float,
 ) -> list[Trace]:
-  """Cuts what `BatchedImitation.measure` returned into episodes.
+  """Splits measurements of `BatchedImitation.measure` into episodes.
 
   Args:
-    measured: its values after every step, [T, B, ...].
-    lengths: control steps of each of the B episodes; only these count.
+    measured: values after every step by name, [T, B, ...].
+    lengths: control steps of the B episodes, [B].
     timestep: seconds of a control step.
     cycle: seconds of a cycle of the mode.
   """
@@ -85,7 +85,7 @@ def traces(
 
 
 def metrics(trace: Trace) -> dict[str, float]:
-  """Returns everything by name.
+  """Returns all metrics of an episode by name.
 
   velocity, lateral_velocity: of the trunk when settled, m/s;
   reference_velocity: that of the reference; height: mean of the trunk over its
@@ -116,27 +116,27 @@ def metrics(trace: Trace) -> dict[str, float]:
 
 
 def drift(trace: Trace) -> float:
-  """Farthest that the trunk is from where it began, horizontally, metres."""
+  """Returns the largest horizontal distance from the start, metres."""
   moved = trace.position[:, :2] - trace.position[0, :2]
   return float(np.linalg.norm(moved, axis=1).max())
 
 
 def turn_rate(trace: Trace) -> float:
-  """Mean rate at which the trunk turns left when settled, rad/s."""
+  """Returns the mean yaw rate when settled, to the left, rad/s."""
   return float(trace.velocity(np.unwrap(trace.yaw)))
 
 
 def bob(trace: Trace) -> float:
-  """Farthest that the height is from its mean when settled, metres."""
+  """Returns the largest deviation of the height from its mean, metres."""
   height = trace.settled(trace.height)
   return float(np.abs(height - height.mean()).max())
 
 
 def alternation(trace: Trace) -> float:
-  """Share of touch-downs of one foot alone that follow one of the other.
+  """Returns the share of single touch-downs that follow the other foot's.
 
-  The majority of three steps says where a foot is: what bounces or taps for a
-  single step has neither taken off nor touched down.
+  Contacts are the majority of three steps: a bounce or tap of one step is
+    neither a take-off nor a touch-down.
   """
   contact = _majority(trace.settled(trace.contact).astype(bool))
   down = contact[1:] & ~contact[:-1]
@@ -149,9 +149,9 @@ def alternation(trace: Trace) -> float:
 
 
 def agreement(trace: Trace) -> float:
-  """Share of the time, when settled, that a foot does as the reference's.
+  """Returns the share of settled steps with the reference's contacts.
 
-  It says nothing of modes whose references leave the contacts free.
+  It has no meaning for modes whose references leave contacts free.
   """
   same = trace.contact == trace.reference_contact
   return float(trace.settled(same).mean())
@@ -165,12 +165,12 @@ def _majority(flags: np.ndarray) -> np.ndarray:
 
 
 def rise(trace: Trace) -> float:
-  """Highest less lowest trunk in a cycle, mean over the cycles, metres."""
+  """Returns the range of the height in a cycle, mean of cycles, metres."""
   return float(np.mean([np.ptp(part) for part in trace.cycles(trace.height)]))
 
 
 def flight(trace: Trace) -> float:
-  """Longest time without contact in a cycle, mean over the cycles, seconds."""
+  """Returns the longest flight in a cycle, mean of cycles, seconds."""
   airborne = [part.sum(axis=1) == 0 for part in trace.cycles(trace.contact)]
   return (
     float(np.mean([longest_run(part) for part in airborne])) * trace.timestep
@@ -178,12 +178,12 @@ def flight(trace: Trace) -> float:
 
 
 def stance(trace: Trace, step: float, height: float) -> float:
-  """Longest time on both feet at a place, seconds.
+  """Returns the longest time on both feet at a given height, seconds.
 
   Args:
     trace: an episode.
-    step: height of the place over that where it began, metres.
-    height: that the trunk should have over it, to 8 cm, metres.
+    step: height of the ground over that at the start, metres.
+    height: desired height of the trunk over that ground, to 8 cm, metres.
   """
   climbed = trace.support - trace.support[0]
   stands = (
@@ -195,6 +195,6 @@ def stance(trace: Trace, step: float, height: float) -> float:
 
 
 def longest_run(flags: np.ndarray) -> int:
-  """Length of the longest run of True, [T] -> int."""
+  """Returns the length of the longest run of True in flags [T]."""
   edges = np.flatnonzero(np.diff(flags.astype(int), prepend=0, append=0))
   return int(np.max(edges[1::2] - edges[::2], initial=0))

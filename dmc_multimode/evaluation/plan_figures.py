@@ -11,11 +11,11 @@ from dmc_multimode.evaluation import figures
 from dmc_multimode.planner import plan as plan_lib
 
 _MARGIN = 0.5  # Metres of track before and after the path.
-_DEPTH = 0.1  # Metres of ground that are shown below the lowest.
+_DEPTH = 0.1  # Metres of ground below the lowest.
 
 
 def draw(found: plan_lib.PlanResult) -> matplotlib.figure.Figure:
-  """Draws a plan and where it led to; pushes where they happened in time."""
+  """Draws a plan, its path, and the times of pushes."""
   course = found.course
   terrain = track.make(course.arena, sizes=course.sizes).generate(
     np.random.RandomState(course.seed)
@@ -34,7 +34,7 @@ def _draw_time(
   path: np.ndarray,
   terrain: terrain_lib.Terrain,
 ) -> None:
-  """Modes, height of the trunk and the ground under it over time."""
+  """Draws modes, height of the trunk and support over time."""
   names = list(dict.fromkeys(plan.modes))
   knots = plan.knot_duration * np.arange(len(plan.modes) + 1)
   levels = [names.index(mode) for mode in plan.modes]
@@ -59,7 +59,7 @@ def _draw_time(
 def _draw_side(
   axis: Any, path: np.ndarray, terrain: terrain_lib.Terrain
 ) -> None:
-  """The path over the profile of the track, both axes to scale."""
+  """Draws the path over the profile of the track, to scale."""
   low, high = path[:, 0].min() - _MARGIN, path[:, 0].max() + _MARGIN
   used = np.isfinite(terrain.starts[0])
   bottom = terrain.tops[0][used].min() - _DEPTH

@@ -1,6 +1,6 @@
-"""Reports of an evaluation: tables on the screen, figures, a page.
+"""Reports of an evaluation: tables, figures and an HTML page.
 
-The page needs nothing but itself: figures and videos are in it as data.
+The page is self-contained: figures and videos are embedded.
 """
 
 import base64
@@ -51,8 +51,8 @@ _UNITS = {
   'position_error': 'm',
 }
 _TEMPLATE = 'report.html.j2'
-_COLOURS = 'viridis'  # Told apart in grey as well.
-_DARK = 0.5  # Luminance below which white text is read best.
+_COLOURS = 'viridis'  # Distinct in grey as well.
+_DARK = 0.5  # Luminance below which text is white.
 _TITLES = {
   figures.HEIGHTS_FILE: 'Height of the trunk in each mode',
   figures.SEQUENCE_FILE: 'Height through a sequence of modes',
@@ -60,17 +60,17 @@ _TITLES = {
   figures.CLOCK_RATES_FILE: 'Speed at other rates of the clock',
 }
 _VIDEO = recording.RecordingConfig(width=320, height=240)
-_SECONDS = 3.0  # Of a video, and more for modes that take longer.
-_AFTER = 1.0  # Seconds for which a video goes on after a mode's first cycle.
+_SECONDS = 3.0  # Seconds of a video, at least.
+_AFTER = 1.0  # Seconds of a video after a mode's first cycle.
 
 
 def draw(
   evaluator: evaluator_lib.Evaluator, values: Mapping[str, Any]
 ) -> dict[str, matplotlib.figure.Figure]:
-  """Draws every mode, a sequence of them, and what `values` has of speeds.
+  """Draws every mode, a sequence of transitions and, if any, clock rates.
 
   Returns:
-    Figures by the names of their files.
+    Figures by file name.
   """
   mode_set, timestep = evaluator.mode_set, evaluator.config.control_timestep
   alone = evaluator.run(
@@ -100,16 +100,16 @@ def film(
   seed: int,
   clock_rate: float,
 ) -> dict[str, bytes]:
-  """Films every mode of a policy on flat ground; needs an OpenGL.
+  """Records every mode of a policy on flat ground; needs OpenGL.
 
   Args:
-    policy: what acts.
-    config: the task, for the step of its physics.
+    policy: to record.
+    config: of the task, for its physics time step.
     seed: of the initial states.
     clock_rate: of the modes.
 
   Returns:
-    MP4 files by the names of the modes.
+    MP4 files, bytes, by mode.
   """
   videos = {}
   with tempfile.TemporaryDirectory() as folder:
@@ -136,15 +136,15 @@ def write_page(
   videos: Mapping[str, bytes],
   note: str,
 ) -> None:
-  """Writes the page of an evaluation, whole or not at all.
+  """Writes the page of an evaluation, atomically.
 
   Args:
     path: of the page; missing folders are made.
     title: of the page.
-    values: what `scores.evaluate` returned.
-    drawn: what `draw` returned.
-    videos: what `film` returned, or none.
-    note: why there are none.
+    values: result of `scores.evaluate`.
+    drawn: result of `draw`.
+    videos: result of `film`; may be empty.
+    note: reason for no videos.
   """
   pictures = {_TITLES[name]: figures.png(drawn[name]) for name in drawn}
   text = page(title, values, pictures, videos, note)
@@ -163,10 +163,10 @@ def page(
 
   Args:
     title: of the page.
-    values: what `scores.evaluate` returned.
+    values: result of `scores.evaluate`.
     pictures: PNG files by their titles.
-    videos: MP4 files by the names of modes.
-    note: why there are no videos; empty if there are.
+    videos: MP4 files by mode.
+    note: reason for no videos; empty if there are some.
   """
   environment = jinja2.Environment(
     loader=jinja2.PackageLoader(__package__, '.'),
@@ -219,12 +219,12 @@ def _criteria(values: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def _data(content: bytes, kind: str) -> str:
-  """Returns a file as a URI that holds it."""
+  """Returns a file's content as a data URI."""
   return f'data:{kind};base64,{base64.b64encode(content).decode()}'
 
 
 def _heat(share: float) -> str:
-  """Returns the style of a cell for a value in [0, 1], legible on it."""
+  """Returns the CSS style of a cell for a value in [0, 1]."""
   red, green, blue, _ = matplotlib.colormaps[_COLOURS](share, bytes=True)
   luminance = (0.2126 * red + 0.7152 * green + 0.0722 * blue) / 255
   ink = '#fff' if luminance < _DARK else '#000'

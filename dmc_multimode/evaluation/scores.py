@@ -1,4 +1,4 @@
-"""The scores of a policy: every mode, every transition, and its gaits.
+"""Scores of a policy: modes, transitions and acceptance criteria.
 
 MRA is the mean normalised return of Krishna and Nguyen, Table II: the share of
 the highest reward that an episode earns, 1 being the most.
@@ -22,7 +22,7 @@ from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import terminations
 
-MODE_FACTOR = 4  # Episodes of a mode for one of each transition.
+MODE_FACTOR = 4  # Ratio of episodes of a mode to those of a transition.
 
 
 def evaluate(
@@ -35,20 +35,21 @@ def evaluate(
   quiet: bool = False,
   communicator: distributed.Communicator = distributed.LOCAL,
 ) -> dict[str, Any]:
-  """Measures a policy: every mode, every transition, without exploration.
+  """Evaluates every mode and every transition, deterministically.
 
   Args:
     policy: name of a shipped one, a folder, or a policy.
     seed: of the initial states.
-    episodes: of each transition at each phase and clip; modes get 4 times.
+    episodes: of each transition at each phase and clip; 4 times as many of each
+      mode.
     clock_rate: of the modes.
-    clock_rates: at which to measure besides how fast the modes go.
-    physics_timestep: seconds; that of the training if None.
+    clock_rates: further rates at which to measure the speeds of modes.
+    physics_timestep: seconds; that of the policy if None.
     quiet: hides the progress bars.
     communicator: of the ranks, which share the episodes.
 
   Returns:
-    JSON-able values: see `report`, and the policy's `provenance`.
+    JSON values: those of `report`, and the policy's `provenance`.
 
   Raises:
     FileNotFoundError: there is no such policy.
@@ -79,7 +80,7 @@ def make_evaluator(
   quiet: bool = False,
   communicator: distributed.Communicator = distributed.LOCAL,
 ) -> evaluator_lib.Evaluator:
-  """Returns what evaluates a policy on its own task; see `evaluate`."""
+  """Returns the evaluator of a policy on its own task; see `evaluate`."""
   config = dataclasses.replace(policy.config, events=events.NONE)
   if physics_timestep is not None:
     config = dataclasses.replace(config, physics_timestep=physics_timestep)
@@ -89,7 +90,7 @@ def make_evaluator(
 def evaluate_modes(
   evaluator: evaluator_lib.Evaluator, episodes: int, clock_rate: float
 ) -> dict[str, dict[str, float]]:
-  """Measures every mode alone: its MRA, survival and what the body did."""
+  """Returns MRA, survival and gait metrics of every mode by itself."""
   bank = evaluator.mode_set.bank
   modes = np.repeat(np.arange(len(bank)), episodes)
   found = evaluator.run(schedule_lib.single(modes, clock_rate), 'modes')
@@ -109,14 +110,14 @@ def evaluate_modes(
 def evaluate_clock_rates(
   evaluator: evaluator_lib.Evaluator, episodes: int, rates: Sequence[float]
 ) -> dict[str, dict[str, dict[str, float]]]:
-  """Measures how fast modes that travel go at other rates of their clocks.
+  """Returns the speeds of travelling modes at other clock rates.
 
-  A robot that cannot keep up with its reference goes on: only a fall ends an
-  episode.
+  Tracking limits are off, for robots that cannot keep up: only a fall ends an
+    episode.
 
   Returns:
-    By rate and mode: velocity along the mode's way and that of its reference,
-    m/s, and survival. Empty where no mode travels.
+    By rate and mode: speed along the mode's direction, that of the reference,
+      m/s, and survival. Empty if no mode travels.
   """
   bank = evaluator.mode_set.bank
   limits = terminations.falls_alone(evaluator.config.limits)
@@ -146,7 +147,7 @@ def evaluate_clock_rates(
 def evaluate_acceptance(
   evaluator: evaluator_lib.Evaluator, episodes: int
 ) -> dict[str, dict[str, dict[str, Any]]]:
-  """Checks every mode by its acceptance criteria: see `acceptance`."""
+  """Returns the findings of every mode's acceptance criteria."""
   bank = evaluator.mode_set.bank
   longer = evaluator.changed(time_limit=acceptance.DURATION)
   modes = np.repeat(np.arange(len(bank)), episodes)
@@ -171,7 +172,7 @@ def evaluate_acceptance(
 def evaluate_transitions(
   evaluator: evaluator_lib.Evaluator, episodes: int
 ) -> dict[str, dict[str, float]]:
-  """Measures all n x n transitions, at each switch phase and clip of Alg. 1."""
+  """Returns scores of all transitions, over the phases and clips of Alg. 1."""
   mode_set = evaluator.mode_set
   n = len(mode_set)
   cases = np.array(
@@ -210,7 +211,7 @@ def evaluate_transitions(
 def report(
   evaluator: evaluator_lib.Evaluator, episodes: int, clock_rate: float
 ) -> dict[str, Any]:
-  """Returns the whole report as JSON-able values."""
+  """Returns all scores as JSON values."""
   modes = evaluate_modes(evaluator, MODE_FACTOR * episodes, clock_rate)
   transitions = evaluate_transitions(evaluator, episodes)
   gather = lambda rows, key: np.array([row[key] for row in rows.values()])

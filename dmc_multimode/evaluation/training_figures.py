@@ -1,4 +1,4 @@
-"""Figures of trainings, drawn from the metrics that runs wrote."""
+"""Figures of trainings, from the metrics of runs."""
 
 import csv
 import math
@@ -12,7 +12,7 @@ from dmc_multimode.evaluation import figures
 
 METRICS_FILE = 'metrics.csv'
 _POINTS = 400  # Of a line.
-_COLUMNS = 5  # Of panels in a row.
+_COLUMNS = 5  # Panels in a row.
 _MILLION = 1e6
 
 Curves = Mapping[str, np.ndarray]
@@ -26,7 +26,7 @@ def read(path: pathlib.Path) -> Curves:
 
   Raises:
     FileNotFoundError: there is no such file.
-    ValueError: it does not hold numbers by step.
+    ValueError: the file is not a table of numbers by step.
   """
   path = path / METRICS_FILE if path.is_dir() else path
   if not path.is_file():
@@ -82,7 +82,7 @@ def _aligned(
 
 
 def draw_sampling(run: Curves) -> matplotlib.figure.Figure:
-  """Draws how often each initial mode was practised, and each final by it."""
+  """Draws the probabilities of initial modes, and of final modes by these."""
   names = [name.removeprefix('p/') for name in run if name.startswith('p/')]
   panels = {'initial mode': [name for name in names if '->' not in name]}
   for name in names:
@@ -110,7 +110,7 @@ def draw_sampling(run: Curves) -> matplotlib.figure.Figure:
 def _smoothed(
   steps: np.ndarray, values: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-  """Running means over a twentieth of the rows, or over two."""
+  """Returns running means over a twentieth of the rows, two at least."""
   width = min(max(len(steps) // 20, 2), len(steps))
   mean = lambda x: np.convolve(x, np.full(width, 1 / width), 'valid')
   return mean(steps), mean(values)

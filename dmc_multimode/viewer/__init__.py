@@ -1,6 +1,6 @@
-"""Policies to be looked at: videos, a page in the browser, a window.
+"""Views of policies: videos, a browser page, dm_control's viewer.
 
-One call films a schedule:
+One call records a schedule:
 
     viewer.record('pi2', 'walk_forward:2,launch:2', out='video.mp4')
 """

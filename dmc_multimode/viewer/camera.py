@@ -1,4 +1,4 @@
-"""Cameras that follow the robot, and what is drawn that no physics knows."""
+"""Cameras that follow the robot, and visual decorations of a scene."""
 
 from typing import Any, Iterator, Mapping, NamedTuple, Sequence
 
@@ -18,7 +18,7 @@ class View(NamedTuple):
     azimuth: degrees; 90 looks along +y, with +x to the right.
     elevation: degrees, negative from above.
     distance: to the point looked at, metres.
-    ahead: of the trunk is that point, metres along x.
+    ahead: distance of the point looked at from the trunk, metres along x.
   """
 
   azimuth: float
@@ -32,38 +32,37 @@ VIEWS: Mapping[str, View] = {
   'front': View(152.0, -14.0, 2.1, 0.1),
   'overview': View(62.0, -20.0, 4.6, 0.9),
 }
-_AIM_HEIGHT = 0.45  # Of the point looked at over the support plane, metres.
-# The share of the way to its target that the view makes in a second is
-# 1 - exp(-1 / lag): stairs and leaps must not shake it.
+_AIM_HEIGHT = 0.45  # Metres from the support plane up to that point.
+# Time constants of the view: ledges and leaps must not shake it.
 _LAG = np.array([0.12, 0.4, 0.5])  # Seconds.
-_JUMP = 1.5  # Metres to a target that is not followed but jumped to.
+_JUMP = 1.5  # Metres to a target beyond which the view jumps.
 
 GHOST = (0.15, 0.55, 0.95, 0.32)
 TOP, _WALL = (0.74, 0.77, 0.80, 1.0), (0.40, 0.47, 0.56, 1.0)
 _BAND, _EDGE = (0.66, 0.695, 0.735, 1.0), (0.95, 0.60, 0.15, 1.0)
 _BAND_WIDTH = 0.25  # Metres; bands lie twice as far apart.
-_REACH = 10.0  # Metres before and behind the robot that have bands.
+_REACH = 10.0  # Metres ahead of and behind the robot with bands.
 _LIFT = 0.002  # Metres: bands and edges lie this much over the ground.
 _EDGE_WIDTH = 0.025  # Metres.
 _EXTRA_GEOMS = 400
 
 
 class Aim:
-  """The point that a view looks at: it lags behind the robot."""
+  """The point that a view looks at, low-pass filtered."""
 
   def __init__(self) -> None:
-    """Begins wherever the robot is when it is first followed."""
+    """Starts at the robot's position in the first call of `follow`."""
     self._point: np.ndarray | None = None
 
   def follow(
     self, task: composer_task.Imitation, position: np.ndarray, ahead: float
   ) -> np.ndarray:
-    """Moves on by one control step; returns the point, world metres, [3].
+    """Advances by one control step; returns the point, world metres, [3].
 
     Args:
-      task: that the robot is in.
+      task: of the robot.
       position: of the trunk, world metres, [3].
-      ahead: of the trunk is the point, metres along x.
+      ahead: distance of the point from the trunk, metres along x.
     """
     support = task.core.support(position[:1])[0]
     target = np.array([position[0] + ahead, position[1], support + _AIM_HEIGHT])
@@ -75,7 +74,7 @@ class Aim:
 
 
 class Camera:
-  """Renders a task's physics from one place."""
+  """Renders a task's physics from one camera."""
 
   def __init__(
     self,
@@ -86,17 +85,17 @@ class Camera:
     height: int,
     ghost: bool = True,
   ):
-    """Looks at the robot.
+    """Sets up the camera.
 
     Args:
       physics: of the task's environment, compiled after `prepare`.
-      task: what runs in it.
+      task: of the environment.
       name: one of `VIEWS`, or a camera of the model.
       width, height: pixels.
       ghost: whether the reference is drawn as a translucent trunk.
 
     Raises:
-      ValueError: there is no such camera.
+      ValueError: the camera is unknown.
     """
     self._physics, self._task, self._ghost = physics, task, ghost
     self._segments = set(physics.bind(task.root_entity.ground_geoms).element_id)
@@ -128,12 +127,12 @@ class Camera:
     pose.distance = view.distance
 
   def _decorate(self, physics: Any, scene: Any) -> None:
-    """Adds to the scene; the physics is only read."""
+    """Adds ground marks and the reference to the scene."""
     for geom in scene.geoms:
       is_segment = geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and (
         geom.objid in self._segments
       )
-      if is_segment:  # The grid of the boxes' texture moves with them.
+      if is_segment:  # The texture of the boxes moves with them.
         geom.matid, geom.rgba[:] = -1, TOP
     x = float(physics.data.qpos[0])
     boxes = list(ground_marks(self._task.root_entity.terrain, x))
@@ -144,7 +143,7 @@ class Camera:
 
 
 def prepare(task: composer_task.Imitation, width: int, height: int) -> None:
-  """Makes room for frames of this size; comes before the compilation."""
+  """Sets the size of the offscreen buffer; call it before the compilation."""
   root = task.root_entity.mjcf_model
   root.visual.get_children('global').set_attributes(
     offwidth=width, offheight=height
@@ -152,7 +151,7 @@ def prepare(task: composer_task.Imitation, width: int, height: int) -> None:
 
 
 def _find(physics: Any, name: str) -> int:
-  """Returns a camera of the model, with or without the robot's prefix."""
+  """Returns the id of a camera, with or without the robot's prefix."""
   model = physics.model
   names = [model.id2name(i, 'camera') for i in range(model.ncam)]
   for candidate in (name, f'walker/{name}'):
@@ -165,7 +164,7 @@ def _find(physics: Any, name: str) -> int:
 def reference_pose(
   task: composer_task.Imitation, x: float
 ) -> tuple[np.ndarray, np.ndarray]:
-  """Position and rotation matrix of the reference, the trunk being at x."""
+  """Returns position and rotation of the reference for a trunk at `x`."""
   wanted = task.core.reference(np.array([x]))
   heading = transform.Rotation.from_euler(
     'z', task.core.tracker.state.heading[0]
@@ -175,7 +174,7 @@ def reference_pose(
 
 
 class Box(NamedTuple):
-  """Something to draw: centre and half-sizes in metres, RGBA, rotation.
+  """A box to draw: centre and half-sizes in metres, RGBA, rotation.
 
   A plane costs less than a flat box, and casts no shadow.
   """
@@ -188,7 +187,7 @@ class Box(NamedTuple):
 
 
 def ground_marks(terrain: terrain_lib.Terrain, x: float) -> Iterator[Box]:
-  """Walls, edges and bands of a terrain, those near `x` alone."""
+  """Returns walls, edges and bands of a terrain near `x`."""
   deep = terrain_lib.BOX_THICKNESS / 2
   wide = terrain_lib.HALF_WIDTH
   for start, end, top in zip(*(field[0] for field in terrain), strict=True):
@@ -218,7 +217,7 @@ def ground_marks(terrain: terrain_lib.Terrain, x: float) -> Iterator[Box]:
 
 
 def _add_boxes(scene: Any, boxes: Sequence[Box]) -> None:
-  """Adds boxes to a scene, as many as there is room for."""
+  """Adds boxes to a scene, up to its capacity."""
   first = scene.ngeom
   scene.ngeom = min(first + len(boxes), scene.maxgeom)
   for geom, box in zip(scene.geoms[first:], boxes, strict=False):

@@ -12,9 +12,9 @@ if TYPE_CHECKING:
   from dmc_multimode.viewer import rollout as rollout_lib
 
 _INK, _FAINT, _WARNING = (22, 28, 36), (92, 102, 114), (200, 30, 30)
-_SHOWN = 0.6  # Seconds for which a push is written into the frames.
+_SHOWN = 0.6  # Seconds for which a push is shown.
 _PAPER = 0.72  # Opacity of the panel behind the text.
-_PALETTE = (  # One colour a mode, told apart by most eyes (Okabe and Ito).
+_PALETTE = (  # One colour a mode, safe for colour-blind eyes (Okabe and Ito).
   (0, 114, 178),
   (230, 130, 0),
   (0, 158, 115),
@@ -54,15 +54,15 @@ class Timeline(NamedTuple):
 
 
 def colour(mode: int) -> tuple[int, int, int]:
-  """RGB of a mode by its index."""
+  """Returns the RGB colour of a mode by its index."""
   return _PALETTE[mode % len(_PALETTE)]
 
 
 class Captions:
-  """Writes what a step led to into its frame."""
+  """Draws captions and timeline of a roll-out into its frames."""
 
   def __init__(self, rollout: 'rollout_lib.Rollout'):
-    """Captions the steps of `rollout`, in their order."""
+    """Captions the steps of `rollout`, in order."""
     self._rollout = rollout
     self._names = rollout.task.mode_set.names
     self._timeline = Timeline(
@@ -98,13 +98,13 @@ class Captions:
 def draw(
   frame: np.ndarray, caption: Caption, timeline: Timeline, progress: float
 ) -> np.ndarray:
-  """Returns a frame with its caption and the timeline.
+  """Returns a copy of a frame with caption and timeline.
 
   Args:
-    frame: uint8 [H, W, 3]; stays as it is.
+    frame: uint8 [H, W, 3].
     caption: the text.
     timeline: the schedule.
-    progress: share of the recording that is over, in [0, 1].
+    progress: elapsed share of the recording, in [0, 1].
   """
   image = PIL.Image.fromarray(frame)
   size = max(9, round(image.height / 28))
@@ -122,7 +122,7 @@ def _panel(
   texts: Sequence[tuple[str, int, tuple[int, int, int]]],
   margin: int,
 ) -> None:
-  """Writes lines of (text, size, colour) into the upper left corner."""
+  """Draws lines of (text, size, colour) into the upper left corner."""
   steps = [round(1.35 * size) for _, size, _ in texts]
   width = max(_font(size).getlength(text) for text, size, _ in texts)
   box = (

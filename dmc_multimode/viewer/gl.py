@@ -1,11 +1,11 @@
-"""Chooses how MuJoCo draws, best before dm_control is imported.
+"""Chooses the OpenGL backend of MuJoCo, best before importing dm_control.
 
 dm_control reads MUJOCO_GL when it is imported; unset, it takes GLFW even on a
 machine without a display and fails at the first frame. A failed attempt also
 leaves PyOpenGL unusable in that process, so backends are tried in another. As
 long as nothing has been drawn, dm_control can be made to read it again.
 
-`python -m dmc_multimode.viewer.gl` prints the backend that works here.
+`python -m dmc_multimode.viewer.gl` prints a backend that works.
 """
 
 import importlib
@@ -15,13 +15,13 @@ import sys
 from typing import Callable
 
 VARIABLE = 'MUJOCO_GL'
-BACKENDS = ('egl', 'osmesa')  # Both draw without a display; egl is faster.
+BACKENDS = ('egl', 'osmesa')  # Both render without a display; egl is faster.
 HELP = (
   'no OpenGL for drawing without a display; on Debian: '
   'apt-get install libegl1 libgl1-mesa-dri (or libosmesa6)'
 )
 
-# Returns why a backend cannot draw, None if it can.
+# Returns the reason why a backend cannot render, or None.
 Probe = Callable[[str], str | None]
 
 _DRAW = (
@@ -33,13 +33,13 @@ _TIMEOUT = 60.0  # Seconds; a frame and its imports take about 0.7.
 
 
 def why_not(backend: str) -> str | None:
-  """Draws one frame with a backend in a process of its own.
+  """Renders one frame with a backend in a new process.
 
   Args:
     backend: A value of MUJOCO_GL.
 
   Returns:
-    None if it drew, else the reason in one line.
+    None after success, else the reason in one line.
   """
   try:
     result = subprocess.run(
@@ -59,20 +59,20 @@ def why_not(backend: str) -> str | None:
 
 
 def choose_backend(probe: Probe = why_not) -> str:
-  """Sets MUJOCO_GL to a backend that draws; call it before drawing anything.
+  """Sets MUJOCO_GL to a backend that works; call it before rendering.
 
-  A value that is set already is kept; as long as dm_control has not taken it,
-  it is checked.
+  A value that is set already is kept, and checked unless dm_control has read
+  it.
 
   Args:
-    probe: Tells why a backend cannot draw; tests pass their own.
+    probe: Returns the reason why a backend cannot render, or None.
 
   Returns:
     The value of MUJOCO_GL.
 
   Raises:
-    OSError: If no backend, or not the one that the user has set, can draw.
-      One line that says what to install.
+    OSError: If no backend, or not the one that the user has set, works; one
+      line that says what to install.
   """
   chosen, taken = os.environ.get(VARIABLE), sys.modules.get(_TAKER)
   if chosen:

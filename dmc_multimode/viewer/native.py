@@ -7,14 +7,14 @@ from dm_control.viewer import user_input
 
 from dmc_multimode.viewer import session as live
 
-_KEYS = 'QWERTYUIO'  # The digits hide groups of geoms.
+_KEYS = 'QWERTYUIO'  # The viewer uses digits for groups of geoms.
 
 
 def run(session: live.LiveSession) -> None:
   """Opens the window; returns when it is closed.
 
-  The viewer steps the robot itself: Backspace resets it, Space stops and goes
-  on, and Ctrl with the mouse pushes.
+  The viewer steps the robot itself. Backspace resets it, Space pauses, and Ctrl
+  with the mouse applies forces.
   """
   app = application.Application(f'dmc_multimode: {session.arena}')
   for letter, mode in zip(_KEYS, session.modes, strict=False):

@@ -1,4 +1,4 @@
-"""A roll-out as a video: the physics, drawn, captioned and encoded."""
+"""Videos of roll-outs: rendered, captioned and encoded."""
 
 import dataclasses
 import math
@@ -51,8 +51,8 @@ class Outcome(NamedTuple):
 
   Attributes:
     mode: name of the mode.
-    duration: seconds for which it ran; 0 if it was never reached.
-    cause: the first reason to end an episode in it, 'none' if it survived.
+    duration: seconds that the mode ran; 0 if it was never reached.
+    cause: first termination cause during the command, 'none' if it survived.
     speed: distance between its ends over its duration, horizontal, m/s.
     peak: greatest height of the trunk over the support plane at the mode's
       start, metres.
@@ -79,7 +79,7 @@ class Recording(NamedTuple):
   """Content of a video.
 
   Attributes:
-    outcomes: how each command went.
+    outcomes: of each command.
     steps: control steps.
   """
 
@@ -100,27 +100,27 @@ def record(
   terminate: bool = False,
   quiet: bool = False,
 ) -> Recording:
-  """Films a policy that follows a schedule on a track, or carries out a plan.
+  """Records a policy that follows a schedule or a plan on a track.
 
   Args:
-    policy: what acts: name of a shipped policy, a folder, or a policy.
+    policy: name of a shipped policy, a folder, or a policy.
     schedule: 'MODE:SECONDS,MODE:SECONDS,...' or such pairs.
-    plan: instead of the schedule, a plan or its file, which also tells track,
-      seed and pushes.
+    plan: instead of a schedule, a plan or its file, which also has track, seed
+      and pushes.
     out: the video, an .mp4 or a .gif file; missing folders are made.
     arena: name of the track.
     seed: of the terrain and of the initial state's noise.
-    config: how it is drawn.
+    config: of the video.
     clock_rate: rate of the phase clock, 1 being the references' own.
     physics_timestep: seconds; the policy's own if None.
-    terminate: ends the video where an episode would end.
+    terminate: ends the video at a termination of the episode.
     quiet: hides the progress bar.
 
   Raises:
     FileNotFoundError: there is no such policy or plan.
     ValueError: not one of schedule and plan is given; a mode, arena or camera
       is unknown; or a number is out of bounds.
-    OSError: nothing can draw here, or the video cannot be written.
+    OSError: there is no OpenGL, or the video cannot be written.
   """
   path = video.check_path(out)
   if schedule is not None and plan is None:
@@ -148,7 +148,7 @@ def record(
 def _scheduled(
   schedule: str | Sequence[tuple[str, float]], arena: str, seed: int
 ) -> dict[str, Any]:
-  """Returns the part of the roll-out that a schedule tells."""
+  """Returns the roll-out's fields that follow from a schedule."""
   if isinstance(schedule, str):
     names, durations = schedule_lib.parse(schedule)
   else:
@@ -165,7 +165,7 @@ def _scheduled(
 def _planned(
   plan: str | os.PathLike[str] | plan_lib.PlanFile,
 ) -> dict[str, Any]:
-  """Returns the part of the roll-out that a plan tells."""
+  """Returns the roll-out's fields that follow from a plan."""
   if not isinstance(plan, plan_lib.PlanFile):
     plan = plan_lib.PlanFile.read(plan)
   names, durations = plan.plan.segments()
@@ -184,16 +184,16 @@ def film(
   out: pathlib.Path,
   quiet: bool = False,
 ) -> Recording:
-  """Rolls out and writes the video; `gl.choose_backend` comes before.
+  """Rolls out and writes the video; call `gl.choose_backend` before.
 
-  A frame a control step; the file appears when it is complete.
+  There is one frame a control step. The file is written atomically.
 
   Args:
-    policy: what acts.
-    rollout_config: what it does.
-    config: how that is drawn.
+    policy: to record.
+    rollout_config: of the roll-out.
+    config: of the video.
     out: the video, an .mp4 or a .gif file.
-    quiet: whether there is no progress bar.
+    quiet: hides the progress bar.
 
   Raises:
     ValueError: a mode, arena or camera is unknown, or a number out of bounds.
@@ -237,11 +237,11 @@ def outcomes(
   start: np.ndarray,
   steps: Sequence['rollout_lib.Step'],
 ) -> list[Outcome]:
-  """Returns how every command went.
+  """Returns the outcome of every command.
 
   Args:
     config: of the roll-out.
-    start: where the trunk began, metres, [3].
+    start: initial position of the trunk, metres, [3].
     steps: all of them.
   """
   result = []

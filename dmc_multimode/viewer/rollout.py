@@ -1,4 +1,4 @@
-"""One policy in one Composer environment: step by step, or a whole schedule."""
+"""Roll-outs of a policy in a Composer environment."""
 
 import collections
 import dataclasses
@@ -18,7 +18,7 @@ from dmc_multimode.suite.imitation import episodes
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import terminations
 
-_SPEED_WINDOW = 0.3  # Seconds over which the shown speed is a mean.
+_SPEED_WINDOW = 0.3  # Seconds over which speed is averaged.
 
 
 class Step(NamedTuple):
@@ -27,13 +27,13 @@ class Step(NamedTuple):
   Attributes:
     command: index into the schedule of the command that was in force.
     time: seconds since the start.
-    mode: name of the mode that runs from here on.
+    mode: name of the mode that runs after the step.
     position: of the trunk in the world, metres, [3].
-    height: of the trunk over the support plane under it, metres.
+    height: of the trunk over its support plane, metres.
     rise: of the trunk over the support plane at the mode's start, metres.
     speed: horizontal, mean over the last 0.3 s, m/s.
     reward: in [0, 1].
-    cause: why an episode would end here; 'none' where it would not.
+    cause: termination cause of the step, or 'none'.
   """
 
   command: int
@@ -51,8 +51,8 @@ class Robot:
   """A policy in a Composer environment of its own, one step at a time.
 
   Attributes:
-    task: what runs in the environment.
-    over: whether the episode has ended; `reset` begins the next.
+    task: of the environment.
+    over: whether the episode has ended.
   """
 
   def __init__(
@@ -65,10 +65,9 @@ class Robot:
     """Takes the task; `start` compiles it.
 
     Args:
-      policy: what acts.
+      policy: to roll out.
       task: made for that policy.
-      limits: whose crossing a step tells as its cause; the task's own limits
-        end the episode.
+      limits: for `Step.cause`; the task's own limits end the episode.
       seed: of the terrain and of the initial state's noise, at each reset.
     """
     self.task, self.over = task, False
@@ -91,16 +90,16 @@ class Robot:
 
   @property
   def physics(self) -> Any:
-    """Of the environment; a weak proxy that is not to be kept."""
+    """Physics of the environment, a weak proxy."""
     return self._environment.physics
 
   @property
   def position(self) -> np.ndarray:
-    """Of the trunk in the world, metres, [3]."""
+    """Position of the trunk, world metres, [3]."""
     return self.physics.data.qpos[:3].copy()
 
   def reset(self) -> None:
-    """Begins the episode that the seed stands for, always the same."""
+    """Begins the episode of the seed, always the same."""
     self._environment.random_state.seed(self._seed)
     self._environment.reset()
     self.over = False
@@ -108,10 +107,10 @@ class Robot:
     self._path = collections.deque([self.position], window + 1)
 
   def command(self, mode: int) -> None:
-    """Commands a mode, an index, where the robot is; a running one goes on.
+    """Commands a mode by its index; a running one continues.
 
     Raises:
-      ValueError: the mode calls for a step, and the track has no place left.
+      ValueError: the mode needs a ledge, and the track has no segment left.
     """
     self.task.command(self.physics, mode, self._environment.random_state)
 
@@ -119,15 +118,15 @@ class Robot:
     """Adds to the velocity of the trunk, world m/s (x, y, z)."""
     self.physics.data.qvel[:3] += velocity
     self.physics.forward()
-    # The running mode goes on, but what is seen has changed.
+    # Commanding the running mode only renews the observation.
     self.command(int(self.task.core.tracker.state.mode[0]))
 
   def action(self) -> np.ndarray:
-    """Returns the policy's joint targets for what is seen now, [10]."""
+    """Returns the policy's joint targets for the current observation, [10]."""
     return self._policy.actor.select_action(self.task.observation)
 
   def here(self) -> Step:
-    """Returns where the robot is right after a reset, as if by a step."""
+    """Returns the state after a reset as a `Step`."""
     task, position = self.task, self.position
     return Step(
       command=0,
@@ -142,7 +141,7 @@ class Robot:
     )
 
   def step(self) -> Step:
-    """Makes a control step; an invalid one has a state that is not finite."""
+    """Advances by a control step; after divergence the state is not finite."""
     state = self.task.core.tracker.state
     command, floor = int(state.knot[0]), float(state.anchor[0, 2])
     self.over = self._environment.step(self.action()).last()
@@ -150,7 +149,7 @@ class Robot:
     return self._step(command, floor)
 
   def _step(self, command: int, floor: float) -> Step:
-    """Judges the step that has just been made."""
+    """Returns the `Step` of the last control step."""
     task, outcome, path = self.task, self.task.outcome, self._path
     assert outcome is not None
     elapsed = (len(path) - 1) * task.config.control_timestep
@@ -189,10 +188,10 @@ class RolloutConfig:
     clock_rate: rate of the phase clock, 1 being the references' own.
     seed: of the terrain and of the initial state's noise.
     pushes: that the robot meets.
-    imitation: whether a robot that loses its reference has failed; in a plan,
-      only one that falls has.
+    imitation: whether losing the reference is a failure; in a plan, only a fall
+      is.
     physics_timestep: seconds; the policy's own if None.
-    terminate: whether the roll-out ends where an episode would.
+    terminate: ends the roll-out at a termination of the episode.
   """
 
   modes: tuple[str, ...]
@@ -208,14 +207,14 @@ class RolloutConfig:
 
 
 class Rollout:
-  """A policy in its environment, reset and ready to run once."""
+  """Roll-out of a schedule; `start`, then `steps`, once."""
 
   def __init__(self, policy: pretrained.Policy, config: RolloutConfig):
     """Builds the environment.
 
     Raises:
-      ValueError: the schedule, the arena, a number, or a mode that the policy
-        does not know.
+      ValueError: the schedule, the arena or a number is invalid, or the policy
+        does not know a mode.
     """
     self.schedule = schedule_lib.from_names(
       policy.mode_set, config.modes, config.durations, config.clock_rate
@@ -260,8 +259,8 @@ class Rollout:
   def steps(self) -> Iterator[Step]:
     """Runs the schedule, after `start`.
 
-    A robot that has lost its reference or fallen goes on, unless the
-    configuration says `terminate`; a state that is not finite ends it.
+    The roll-out continues after lost references and falls, unless `terminate`
+    is set; a state that is not finite ends it.
     """
     for step in range(self.num_steps):
       self._push(step)
@@ -273,7 +272,7 @@ class Rollout:
         return
 
   def _push(self, step: int) -> None:
-    """Carries out the pushes that are due."""
+    """Applies the pushes that are due."""
     period = self.task.config.control_timestep
     velocities = [
       push.velocity
@@ -287,7 +286,7 @@ class Rollout:
 def _task_config(
   config: task_config.ImitationConfig, rollout: RolloutConfig
 ) -> task_config.ImitationConfig:
-  """The policy's own task, from rest, as long as the schedule."""
+  """Returns the policy's task, from rest and as long as the schedule."""
   changes: dict[str, Any] = {
     'events': events.NONE,
     'time_limit': sum(rollout.durations),
@@ -300,7 +299,7 @@ def _task_config(
 
 
 def _make_arena(config: RolloutConfig) -> track.Track:
-  """The arena, with room for the step that any of the commands may call for."""
+  """Returns the arena, with segments for the ledges of all commands."""
   arena = track.make(config.arena, sizes=config.sizes)
   if not arena.adaptive:
     return arena

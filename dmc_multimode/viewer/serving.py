@@ -1,4 +1,4 @@
-"""Shows a session to people: on a page in the browser, or in a window."""
+"""Serves a live session: on a browser page, or in dm_control's viewer."""
 
 import contextlib
 import io
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
   from dmc_multimode.viewer import session as live
   from dmc_multimode.viewer import web_page
 
-_CATCH_UP = 0.1  # Seconds that are made up for; more is lost.
+_CATCH_UP = 0.1  # Seconds of delay that are caught up; more is dropped.
 
 
 def view(
@@ -25,16 +25,16 @@ def view(
   threads: int = 1,
   native: bool = False,
 ) -> None:
-  """Shows a policy, and lets people command it, until it is interrupted.
+  """Serves a policy that people can command, until it is interrupted.
 
   Args:
     policy: name of a shipped policy, or folder of a policy or a run.
     arena: name of the track.
     seed: of the track and the initial state.
-    host: address of this machine at which the page is served.
+    host: address of this machine for the page.
     port: of the page; 0 for any free one.
     threads: of the planner; the robot needs a core.
-    native: opens a window of dm_control's viewer instead of a page.
+    native: opens dm_control's viewer instead of a page.
 
   Raises:
     FileNotFoundError: there is no such policy.
@@ -53,7 +53,7 @@ def view(
   from dmc_multimode import pretrained
   from dmc_multimode.viewer import session as live
 
-  torch.set_num_threads(1)  # Batches are small, and a search has a thread.
+  torch.set_num_threads(1)  # Batches are small.
   session = live.LiveSession(
     pretrained.load(policy), arena, seed, threads=threads
   )
@@ -67,7 +67,7 @@ def view(
 
 
 def _check_display() -> None:
-  """Raises OSError where no window can be opened."""
+  """Raises OSError if no window can be opened."""
   if not (os.environ.get('DISPLAY') or os.environ.get('WAYLAND_DISPLAY')):
     raise OSError(
       'no display for --viewer=native: use --viewer=web, which needs none.'
@@ -75,10 +75,10 @@ def _check_display() -> None:
 
 
 def check_address(host: str, port: int) -> None:
-  """Raises where nothing can be served; viser would just take another port.
+  """Raises unless the port is free; viser would just take another one.
 
   Raises:
-    ValueError: that is no port, or no address of this machine.
+    ValueError: the port or the address is invalid.
     OSError: the port is in use.
   """
   if not 0 <= port < 1 << 16:
@@ -110,7 +110,7 @@ def _serve(session: 'live.LiveSession', host: str, port: int) -> None:
       f'{error}; the page takes the extra `view`: pip install '
       "'dmc_multimode[view]'"
     ) from error
-  silence = contextlib.redirect_stdout(io.StringIO())  # Of viser's banner.
+  silence = contextlib.redirect_stdout(io.StringIO())  # Hides viser's banner.
   with silence:
     server = viser.ViserServer(host, port, verbose=False)
   try:

@@ -1,7 +1,7 @@
-"""A policy that takes commands while it runs; knows of no page and no clock.
+"""Live session: a policy that takes commands while it runs.
 
-Who drives a session calls `step` once a control period and everything else in
-between, all from one thread. Only a search for a plan has a thread of its own.
+The caller calls `step` once a control period and other methods in between, all
+from one thread. A search for a plan runs in its own thread.
 """
 
 from concurrent import futures
@@ -26,17 +26,17 @@ from dmc_multimode.viewer import rollout
 
 CLOCK_RATES = (0.5, 1.5)  # The slowest and the fastest.
 PUSH_SPEEDS = (0.0, 3.0)  # m/s.
-_SEGMENTS = 32  # Places for boxes: so many steps can be launched onto.
-_LIE = 1.2  # Seconds that a robot which has fallen stays where it is.
+_SEGMENTS = 32  # Segments of a track: bounds the number of ledges.
+_LIE = 1.2  # Seconds from a fall to the reset.
 _FALLEN = terminations.CAUSES[terminations.BASE_HEIGHT]
 _INVALID = terminations.CAUSES[terminations.NON_FINITE]
 
 
 class PlanSearch:
-  """A search for a plan, in a thread of its own.
+  """A search for a plan in a thread.
 
   Attributes:
-    status: how far it has come.
+    status: progress of the search.
   """
 
   def __init__(
@@ -47,7 +47,7 @@ class PlanSearch:
     planner: beam_search.BeamConfig,
     threads: int,
   ):
-    """Starts; the arguments are those of `solver.Solver`."""
+    """Starts the search; for the arguments see `solver.Solver`."""
     self.status = solver.Status('compiling', 0, 1, 0.0, np.inf)
     self._cancelled = threading.Event()
     executor = futures.ThreadPoolExecutor(1)
@@ -56,7 +56,7 @@ class PlanSearch:
         self._report
       )
     )
-    executor.shutdown(wait=False)  # There is nothing more to do.
+    executor.shutdown(wait=False)  # The exception ends the thread.
 
   @property
   def done(self) -> bool:
@@ -67,7 +67,7 @@ class PlanSearch:
     """Returns the best plan that was found.
 
     Raises:
-      ValueError: there is none because the problem is none.
+      ValueError: the problem is invalid.
     """
     return self._found.result()
 
@@ -85,13 +85,12 @@ class LiveState(NamedTuple):
   """State of a session after a step.
 
   Attributes:
-    step: of the robot; the last one while a state that is not finite waits to
-      be reset.
+    step: of the robot; the last finite one after a divergence.
     down: whether the robot has fallen, or its state is not finite.
-    notice: what has happened of late, for people; may be empty.
-    searching: how far a search for a plan has come; None without one.
-    plan: the last plan that was found for this track, None before.
-    replaying: whether it is being carried out.
+    notice: message for people; may be empty.
+    searching: progress of the search for a plan; None without one.
+    plan: last plan found for this track; None before.
+    replaying: whether the plan is being carried out.
   """
 
   step: rollout.Step
@@ -103,10 +102,10 @@ class LiveState(NamedTuple):
 
 
 class LiveSession:
-  """A policy on a track, until it is told otherwise in its first mode.
+  """A policy on a track that takes commands; starts in its first mode.
 
   Attributes:
-    robot: what runs; another one on every track.
+    robot: roll-out of the policy; a new one for every track.
     arena: name of the track.
     seed: of the track, if it is random, and of the initial state's noise.
     clock_rate: of the modes, 1 being their own.
@@ -121,13 +120,13 @@ class LiveSession:
     planner: beam_search.BeamConfig | None = None,
     threads: int = 1,
   ):
-    """Compiles the track.
+    """Compiles the model of the track.
 
     Args:
-      policy: what acts.
+      policy: to run.
       arena: name of a track.
       seed: see the class.
-      planner: how plans are searched for.
+      planner: configuration of the planner.
       threads: of the planner's physics.
 
     Raises:
@@ -145,7 +144,7 @@ class LiveSession:
     return self._mode_set.names
 
   def set_arena(self, name: str, seed: int = 0) -> None:
-    """Puts the robot at the start of another track, which forgets the plan.
+    """Moves the robot to the start of another track; drops the plan.
 
     Raises:
       ValueError: the track is unknown, or the seed is negative.
@@ -154,7 +153,7 @@ class LiveSession:
       raise ValueError(f'seed must not be negative, got {seed}.')
     task = multimode_biped.make_task(
       self._mode_set,
-      # As a search begins, so that its plans lead to the same places.
+      # The same initial state as in a search.
       episodes.ScheduledEpisodes(schedule_lib.single(np.zeros(1))),
       track.make(name, _SEGMENTS),
       dataclasses.replace(
@@ -172,23 +171,23 @@ class LiveSession:
     self._start()
 
   def reset(self) -> None:
-    """Puts the robot back to the start of the track."""
+    """Resets the robot to the start of the track."""
     self.robot.reset()
     self._start()
 
   def _start(self, notice: str = '') -> None:
-    """Forgets what happened before a reset."""
+    """Clears the state of before a reset."""
     self.notice = notice
     self._replayed: plan_lib.ModePlan | None = None
     self._lying, self._last = 0, self.robot.here()
     self.set_clock_rate(self.clock_rate)
 
   def command(self, mode: str) -> None:
-    """Commands a mode where the robot is; the running one just goes on.
+    """Commands a mode; the running one continues.
 
     Raises:
-      ValueError: the policy does not know it, or it calls for a step and the
-        track has no place left for one.
+      ValueError: the policy does not know the mode, or the mode needs a ledge
+        and the track has no segment left.
     """
     index = self._mode_set.index(mode)
     self._replayed, self.notice = None, ''
@@ -198,7 +197,7 @@ class LiveSession:
     """Adds to the velocity of the trunk, world m/s (x, y).
 
     Raises:
-      ValueError: that is not finite, or faster than `PUSH_SPEEDS` allows.
+      ValueError: the velocity is not finite, or out of `PUSH_SPEEDS`.
     """
     x, y = velocity
     if not np.hypot(x, y) <= PUSH_SPEEDS[1]:
@@ -220,10 +219,10 @@ class LiveSession:
     self.robot.task.core.tracker.state.clock_rate[:] = rate
 
   def plan(self) -> None:
-    """Starts to search for a plan across this track, from its start.
+    """Starts the search for a plan across this track, from its start.
 
     Raises:
-      ValueError: a search is going on.
+      ValueError: a search is running.
     """
     if self._search:
       raise ValueError('A plan is being searched for already.')
@@ -247,12 +246,12 @@ class LiveSession:
     self._replayed = self._plan.plan
 
   def step(self) -> LiveState:
-    """Advances by one control step, and resets a robot that has lain enough."""
+    """Advances by one control step; resets a robot some time after a fall."""
     self._take_plan()
     self._follow_plan()
     if not self.robot.over:
       self._last = self.robot.step()
-    if self.robot.over:  # There are no limits: the physics has given up.
+    if self.robot.over:  # Without limits: it diverged.
       self._last = self._last._replace(cause=_INVALID)
     if self._lying or self._last.cause in (_FALLEN, _INVALID):
       self._lie()
@@ -266,13 +265,13 @@ class LiveSession:
     )
 
   def close(self) -> None:
-    """Gives up a search that is going on."""
+    """Cancels a running search."""
     if self._search:
       self._search.cancel()
     self._search = None
 
   def _lie(self) -> None:
-    """Leaves a robot that is down where it is for a moment, then resets it."""
+    """Counts the time since a fall, then resets the robot."""
     if not self._lying:
       fell = self._last.cause == _FALLEN
       self.notice = 'It has fallen.' if fell else 'Its state is not finite.'
@@ -283,7 +282,7 @@ class LiveSession:
       self._start(f'{self.notice} It was put back to the start.')
 
   def _take_plan(self) -> None:
-    """Takes what a search that is over has found."""
+    """Takes the result of a finished search."""
     if not (self._search and self._search.done):
       return
     finished, self._search = self._search, None
@@ -298,7 +297,7 @@ class LiveSession:
     )
 
   def _follow_plan(self) -> None:
-    """Commands what the plan that is carried out commands now."""
+    """Issues the active plan's mode for the current knot."""
     if self._replayed is None:
       return
     task = self.robot.task

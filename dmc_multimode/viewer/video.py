@@ -11,21 +11,21 @@ from typing import Any, Callable, Iterator, Sequence
 import numpy as np
 
 SUFFIX, GIF_SUFFIX = '.mp4', '.gif'
-MAX_SIDE = 4096  # Pixels; beyond it few players go.
+MAX_SIDE = 4096  # Pixels; the limit of most players.
 # Visually lossless, and five times faster than libx264's defaults.
 _CODEC, _OPTIONS = 'libx264', {'crf': '18', 'preset': 'veryfast'}
-# Lets a player begin before it has the whole file.
+# Playback can start before the download ends.
 _CONTAINER_OPTIONS = {'movflags': '+faststart'}
-_GIF_RATE = 12.5  # Frames per second at most: a GIF grows with each of them.
+_GIF_RATE = 12.5  # Largest frame rate of a GIF, frames per second.
 _GIF_COLOURS = 64  # Of each frame.
-_GIF_TICK = 0.01  # Seconds: what durations in a GIF are multiples of.
+_GIF_TICK = 0.01  # Seconds: unit of durations in a GIF.
 
 # Appends a frame, uint8 [height, width, 3] in RGB.
 Append = Callable[[np.ndarray], None]
 
 
 def check_path(path: str | os.PathLike[str] | None) -> pathlib.Path:
-  """Returns where a video goes, without creating anything that stays.
+  """Returns the path of a video after checking that it can be written.
 
   Raises:
     ValueError: no path, a folder, or another suffix than .mp4 and .gif.
@@ -39,7 +39,7 @@ def check_path(path: str | os.PathLike[str] | None) -> pathlib.Path:
   if out.is_dir():
     raise ValueError(f'{out} is a folder; name a file.')
   folder = out.absolute().parent
-  while not folder.exists():  # It is made once there is something to write.
+  while not folder.exists():  # The folder is made with the first frame.
     folder = folder.parent
   if not folder.is_dir():
     raise NotADirectoryError(f'Not a directory: {folder}')
@@ -58,18 +58,17 @@ def check_size(width: int, height: int) -> None:
 
 @contextlib.contextmanager
 def open_writer(path: pathlib.Path, frame_rate: float) -> Iterator[Append]:
-  """Writes a video beside its place and moves it there at the end.
+  """Opens a video for writing; it replaces `path` when complete.
 
-  Leaving the context by an exception removes what was written, so that `path`
-  holds what it held before.
+  After an exception in the context, `path` is unchanged.
 
   Args:
-    path: of the video, checked by `check_path`; its suffix names the kind, and
-      missing folders are made.
+    path: of the video, checked by `check_path`; its suffix determines the
+      format. Missing folders are made.
     frame_rate: frames per second.
 
   Yields:
-    Appends a frame; all are of one even size.
+    Function that appends a frame; all have one even size.
   """
   path.parent.mkdir(parents=True, exist_ok=True)
   temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
@@ -84,7 +83,7 @@ def open_writer(path: pathlib.Path, frame_rate: float) -> Iterator[Append]:
 
 @contextlib.contextmanager
 def _write_mp4(path: pathlib.Path, frame_rate: float) -> Iterator[Append]:
-  # Codecs take a while to load: only who encodes waits for them.
+  # Late: codecs take a while to load.
   import av
 
   rate = fractions.Fraction(frame_rate).limit_denominator(1000)
@@ -103,15 +102,14 @@ def _write_mp4(path: pathlib.Path, frame_rate: float) -> Iterator[Append]:
     yield append
     if not stream.codec_context.is_open:
       raise ValueError('There is no frame to write.')
-    container.mux(stream.encode())  # What the encoder holds.
+    container.mux(stream.encode())  # Frames still in the encoder.
 
 
 @contextlib.contextmanager
 def _write_gif(path: pathlib.Path, frame_rate: float) -> Iterator[Append]:
-  """Writes a GIF that repeats for ever, for pages that play no videos.
+  """Opens a GIF that repeats for ever, for pages without videos.
 
-  Of frames that come faster than a GIF bears, only every second, third, ... is
-  kept.
+  At higher frame rates only every second, third, ... frame is kept.
   """
   import PIL.Image
 
@@ -121,7 +119,7 @@ def _write_gif(path: pathlib.Path, frame_rate: float) -> Iterator[Append]:
   def append(frame: np.ndarray) -> None:
     nonlocal shown
     if shown % stride == 0:
-      plain = PIL.Image.Dither.NONE  # Noise is what a GIF compresses worst.
+      plain = PIL.Image.Dither.NONE  # Dithering noise compresses badly.
       picture = PIL.Image.fromarray(frame)
       kept.append(picture.quantize(_GIF_COLOURS, dither=plain))
     shown += 1

@@ -1,7 +1,7 @@
-"""A page in the browser that shows a session and commands it.
+"""Browser page that shows and commands a live session.
 
-viser calls back from threads of its own; a page puts what is asked for into a
-queue, and the one thread that drives the session takes it from there.
+viser calls back from its own threads; the page queues the requests, and the
+thread that drives the session handles them.
 """
 
 import collections
@@ -25,9 +25,9 @@ _PUSHES = {  # Label: key, direction in the world.
   'left': ('J', (0.0, 1.0)),
   'right': ('L', (0.0, -1.0)),
 }
-_PUSH_SPEED = 0.8  # m/s at first.
-_SHOWN = 8.0  # Seconds that the plots reach back.
-_EVERY = 4  # Control steps from one update of texts and plots to the next.
+_PUSH_SPEED = 0.8  # Initial value, m/s.
+_SHOWN = 8.0  # Seconds shown by the plots.
+_EVERY = 4  # Control steps between updates of texts and plots.
 _HIGHEST = 1.5  # Metres, and the top of the plots.
 _DIGITS = 9  # Keys for modes.
 _RUNNING, _OTHER = 'blue', 'gray'  # Colours of the modes' buttons.
@@ -61,9 +61,9 @@ class Page:
     self._add_plots()
 
   def handle(self) -> None:
-    """Does what has been asked for since the last time.
+    """Handles the queued requests.
 
-    What cannot be done becomes the session's notice.
+    Errors become the session's notice.
     """
     while not self._requests.empty():
       try:
@@ -72,17 +72,17 @@ class Page:
         self._session.notice = str(error)
 
   def show(self, state: live.LiveState, late: bool = False) -> None:
-    """Shows where the robot is, and now and then all the rest.
+    """Updates the robot and, at intervals, texts and plots.
 
     Args:
-      state: what the last step led to.
-      late: whether there is no time to draw every step.
+      state: after the last step.
+      late: skips frames to catch up.
     """
     if not self._server.get_clients():
       return
     self._steps += 1
     now_and_then = not self._steps % _EVERY
-    # A search has the interpreter for itself in the meantime.
+    # Leaves the interpreter to a search meanwhile.
     if now_and_then or not (late or state.searching):
       self._scene.show(self._session.robot)
     step = state.step
@@ -96,13 +96,13 @@ class Page:
       self._show_plots()
 
   def _ask(self, request: Callable[..., None], *args: Any) -> None:
-    """Leaves a request for the session's thread."""
+    """Queues a request for the session's thread."""
     self._requests.put(functools.partial(request, *args))
 
   def _by_hand(
     self, request: Callable[[], None]
   ) -> Callable[[viser.GuiEvent], None]:
-    """Asks when people change a value, not when the page itself does."""
+    """Returns a callback that ignores changes by the page itself."""
 
     def ask(event: viser.GuiEvent) -> None:
       if event.client is not None:
@@ -116,7 +116,7 @@ class Page:
     command.on_trigger(lambda _: self._ask(request))
 
   def _add_modes(self) -> None:
-    """A button and a digit for every mode, and the clock."""
+    """Adds a button and a digit for every mode, and the clock rate."""
     gui, session = self._server.gui, self._session
     self._modes = {}
     for i, mode in enumerate(session.modes):
@@ -140,7 +140,7 @@ class Page:
   def _add_group(
     self, name: str, actions: Mapping[str, tuple[str, Callable[[], None]]]
   ) -> None:
-    """A row of buttons, each with a key: what each is called, asks for."""
+    """Adds a row of buttons with keys: label, key, request of each."""
     keys = ' '.join(key for key, _ in actions.values())
     group = self._server.gui.add_button_group(f'{name} ({keys})', [*actions])
     group.on_click(lambda event: self._ask(actions[event.target.value][1]))
@@ -148,7 +148,7 @@ class Page:
       self._bind(f'{name} {label}', key, request)
 
   def _add_pushes(self) -> None:
-    """Buttons and keys that push the robot, and how hard."""
+    """Adds buttons and keys for pushes, and their speed."""
     slowest, fastest = live.PUSH_SPEEDS
     self._speed = self._server.gui.add_number(
       'push, m/s',
@@ -166,7 +166,7 @@ class Page:
     self._session.push(self._speed.value * np.array(direction))
 
   def _add_track(self) -> None:
-    """The track, and plans across it."""
+    """Adds the choice of track, and plans."""
     gui, session = self._server.gui, self._session
     self._arena = gui.add_dropdown(
       'track', layouts.NAMES, initial_value=session.arena
@@ -189,7 +189,7 @@ class Page:
     self._session.set_arena(self._arena.value, int(self._seed.value))
 
   def _add_plots(self) -> None:
-    """Height and reward over time, and which mode ran."""
+    """Adds plots of height, reward and mode over time."""
     nothing = np.zeros(1)
     curve = lambda label, colour: uplot.Series(
       label=label, stroke=colour, width=2

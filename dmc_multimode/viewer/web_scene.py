@@ -1,4 +1,4 @@
-"""The world on the page: the robot, its reference and the ground.
+"""Scene of the page: robot, reference and ground.
 
 mjviser turns the robot's geoms into meshes. The ground is drawn here, as in the
 videos, because its boxes change their sizes. The world moves past the origin,
@@ -18,10 +18,10 @@ from dmc_multimode.viewer import camera as scene
 from dmc_multimode.viewer import rollout
 
 _VIEW = scene.VIEWS['side']
-_DISTANCE, _NEAR = 3.0, 0.1  # Metres from the camera to the robot, and least.
-_ENVIRONMENT = 0.2  # Of the light from all around.
+_DISTANCE, _NEAR = 3.0, 0.1  # Metres to the robot: initial, least.
+_ENVIRONMENT = 0.2  # Intensity of the ambient light.
 _FIELD_OF_VIEW = np.radians(45.0)
-_FLAT = 1e-4  # Half-height of what is drawn as a plane, metres.
+_FLAT = 1e-4  # Half-height of boxes drawn for planes, metres.
 _SHADOW_RADIUS, _SHADOW_LIFT = 0.16, 0.006  # Metres.
 _CORNERS = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing='ij'))
 _VERTICES = _CORNERS.reshape(3, 8).T  # Of a box of half-sizes 1; x is slowest.
@@ -41,17 +41,17 @@ _PATH, _PATH_WIDTH = (235, 120, 40), 3.0  # Of a plan: colour, pixels.
 
 
 class LiveScene:
-  """Draws a robot and its world on a page."""
+  """Draws a robot and its surroundings on a page."""
 
   def __init__(self, server: viser.ViserServer, robot: rollout.Robot):
     """Builds the meshes.
 
     Args:
       server: of the page.
-      robot: any of those to be shown: all have the same geoms.
+      robot: any robot of the session: all have the same geoms.
     """
     self._server, self._aim = server, scene.Aim()
-    # What follows the robot are these two, the former being mjviser's.
+    # These two frames follow the robot; the first is mjviser's.
     self._frames = [
       server.scene.add_frame(name, show_axes=False)
       for name in ('/bodies', '/world')
@@ -84,7 +84,7 @@ class LiveScene:
     self._set_up_view()
 
   def _set_up_view(self) -> None:
-    """Places the camera and the light; cheap enough without a GPU."""
+    """Sets up camera and light, cheap enough without a GPU."""
     azimuth, elevation = np.radians([_VIEW.azimuth, _VIEW.elevation])
     forward = np.array(
       [
@@ -96,7 +96,7 @@ class LiveScene:
     camera = self._server.initial_camera
     camera.position, camera.look_at = -_DISTANCE * forward, np.zeros(3)
     camera.fov, camera.near = _FIELD_OF_VIEW, _NEAR
-    # Without a GPU there is no time for more; a disc tells flight from stance.
+    # Shadows are too slow without a GPU; a disc shows the height.
     self._server.scene.configure_default_lights(cast_shadow=False)
     self._server.scene.configure_environment_map(
       'studio', environment_intensity=_ENVIRONMENT
@@ -106,7 +106,7 @@ class LiveScene:
     self._server.scene.set_background_image(sky.astype(np.uint8), 'png')
 
   def show(self, robot: rollout.Robot) -> None:
-    """Draws the robot where it is; nothing if that is not finite."""
+    """Draws the robot; does nothing if its state is not finite."""
     position, data = robot.position, robot.physics.data
     if not np.isfinite(position).all():
       return
@@ -141,7 +141,7 @@ class LiveScene:
       )
 
   def _show_ground(self, terrain: terrain_lib.Terrain, x: float) -> None:
-    """Draws the ground around x anew where it has changed."""
+    """Redraws the ground around `x` where it has changed."""
     ground = b''.join(field.tobytes() for field in terrain), round(x)
     if ground == self._drawn_ground:
       return
@@ -167,7 +167,7 @@ class LiveScene:
 
 
 def _drawn_model(robot: rollout.Robot) -> mujoco.MjModel:
-  """Returns a copy of the robot's model whose ground is not to be drawn."""
+  """Returns a copy of the robot's model with an invisible ground."""
   model = copy.deepcopy(robot.physics.model.ptr)
   ground = robot.physics.bind(robot.task.root_entity.ground_geoms).element_id
   model.geom_rgba[ground, 3] = 0.0

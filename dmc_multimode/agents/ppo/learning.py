@@ -33,7 +33,8 @@ class PPOLearner:
     network to the bit. Each rank draws its own minibatches.
 
   Attributes:
-    network: the trained network. learning_rate: current learning rate.
+    network: the trained network.
+    learning_rate: current learning rate.
   """
 
   def __init__(
