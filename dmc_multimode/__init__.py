@@ -69,14 +69,19 @@ def __dir__() -> list[str]:
 def load(task: str, **task_kwargs: Any) -> 'dm_env.Environment':
   """Returns the environment of a task; see `suite.load`.
 
+  The default `config` of modes and sets is made for training: half of the
+  episodes start mid-stride, on the reference at a random phase, and the edges
+  of ledges are noisy. For episodes from rest, as in evaluations, pass
+  `config=ImitationConfig(events=events.NONE)`, both from `suite.imitation`.
+
   Args:
-    task: its name: a mode, a set of modes, or `reach_` and a track.
+    task: name of a mode, a set of modes, or `reach_` and a track.
     **task_kwargs: for the task's factory: `random`, a seed; `time_limit`,
       seconds; `environment_kwargs`; `config` and `arena` of modes and sets;
       `policy` of the tasks `reach_*`.
 
   Raises:
-    ValueError: the task is unknown; the message lists those there are.
+    ValueError: the task is unknown; the message lists all tasks.
   """
   from dmc_multimode import suite
 
@@ -93,23 +98,23 @@ def make_worlds(
   auto_reset: bool = True,
   privileged: bool = False,
 ) -> 'BatchedImitation':
-  """Returns many worlds of one task, stepped together; `reset` them first.
+  """Returns many worlds of one task, stepped together; call `reset` first.
 
   Args:
     modes: names, as `dmc_multimode.modes.library.mode_set` takes them: one mode
-      is commanded throughout; of several, Algorithm 1 chooses. Or modes of
-      one's own, or a policy or its folder, whose modes these then are.
+      is commanded throughout; of several, Algorithm 1 chooses. Or a `ModeSet`,
+      or a policy or its folder, for its modes.
     num_worlds: B.
     seed: of all randomness.
     config: of the task; that of a policy is by default the one with which it is
       evaluated.
     arena: a track or the name of one.
     num_threads: of the physics; 0 takes every core.
-    auto_reset: whether a world whose episode ends begins the next by itself.
-    privileged: whether observations end with the privileged ones.
+    auto_reset: resets a world in the step that ends its episode.
+    privileged: appends the privileged critic observations.
 
   Raises:
-    FileNotFoundError, TypeError: that is no policy.
+    FileNotFoundError, TypeError: `modes` is not a policy.
     ValueError: a mode or the arena is unknown, or a number out of bounds.
   """
   from dmc_multimode.modes import mode_set as mode_set_lib

@@ -28,7 +28,7 @@ from benchmarks import common
 from benchmarks.learning import learners
 from dmc_multimode.bin import app
 from dmc_multimode.evaluation import episodes as evaluation_episodes
-from dmc_multimode.evaluation import evaluator as scoring
+from dmc_multimode.evaluation import evaluator as evaluator_lib
 from dmc_multimode.evaluation import scores
 from dmc_multimode.experiments import config as run_config
 from dmc_multimode.modes import mode_set as mode_set_lib
@@ -92,14 +92,14 @@ class Result(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class _Candidate:
-  """What `scoring.Evaluator` asks of a policy."""
+  """What `evaluator_lib.Evaluator` asks of a policy."""
 
   mode_set: mode_set_lib.ModeSet
   select_action: evaluation_episodes.SelectAction
   begin_episodes: Callable[[], None]
 
 
-class _Evaluator(scoring.Evaluator):
+class _Evaluator(evaluator_lib.Evaluator):
   """Lets a policy that remembers know when episodes begin."""
 
   policy: _Candidate

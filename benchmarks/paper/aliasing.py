@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks import common
 from dmc_multimode import pretrained
 from dmc_multimode.bin import app
-from dmc_multimode.evaluation import evaluator as scoring
+from dmc_multimode.evaluation import evaluator as evaluator_lib
 from dmc_multimode.evaluation import figures
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import events
@@ -67,7 +67,7 @@ def profiles(
     policy.config, events=events.NONE, limits=terminations.NO_LIMITS
   )
   ids = np.repeat([policy.mode_set.index(name) for name in modes], episodes)
-  evaluator = scoring.Evaluator(policy, config, seed, quiet=True)
+  evaluator = evaluator_lib.Evaluator(policy, config, seed, quiet=True)
   found = evaluator.run(schedule_lib.single(ids), 'profiles')
   result = {}
   for name, key in (('robot', 'position'), ('reference', 'reference')):

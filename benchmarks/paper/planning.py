@@ -1,6 +1,6 @@
 """Plans across the paper's tracks (Table III), and random ones.
 
-    python -m benchmarks.paper.planning --policy=pi2 --out=planning.json
+    python -m benchmarks.paper.planning --policy=pi2 --out=solver_lib.json
 
 Every track of the paper is planned for from `--seeds` starts, which differ in
 the noise on joints, tilt and velocities; then `--random` tracks with a gap, a
@@ -30,7 +30,7 @@ from dmc_multimode.bin import app
 from dmc_multimode.experiments import launch
 from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import q_learning
-from dmc_multimode.planner import solver as planning
+from dmc_multimode.planner import solver as solver_lib
 from dmc_multimode.suite.reaching import problem as reaching
 from dmc_multimode.utils import files
 
@@ -54,15 +54,15 @@ def solve(
   policy: pretrained.Policy,
   name: str,
   config: reaching.ReachingConfig,
-  planner: planning.PlannerConfig,
+  planner: solver_lib.PlannerConfig,
   threads: int = 0,
 ) -> Row:
   """Returns what a planner finds on a track, with threads or all cores."""
-  found = planning.Solver(policy, name, config, planner, threads).solve()
+  found = solver_lib.Solver(policy, name, config, planner, threads).solve()
   return {
     'track': name,
     'seed': config.seed,
-    'planner': planning.name_of(planner),
+    'planner': solver_lib.name_of(planner),
     'success': found.success,
     'return': found.episode_return,
     'solve_seconds': found.solve_seconds,
@@ -104,9 +104,9 @@ def _line(row: Row) -> str:
   )
 
 
-def _planners() -> dict[str, planning.PlannerConfig]:
+def _planners() -> dict[str, solver_lib.PlannerConfig]:
   """Returns --planners; raises ValueError if one is unknown."""
-  known: dict[str, planning.PlannerConfig] = {
+  known: dict[str, solver_lib.PlannerConfig] = {
     'beam': beam_search.BeamConfig(_BEAMS.value),
     'q_learning': q_learning.QLearningConfig(),
   }
@@ -119,7 +119,7 @@ def _planners() -> dict[str, planning.PlannerConfig]:
 
 
 def _cases() -> list[
-  tuple[str, reaching.ReachingConfig, planning.PlannerConfig]
+  tuple[str, reaching.ReachingConfig, solver_lib.PlannerConfig]
 ]:
   """Returns track, problem and planner of every plan to be found."""
   planners = list(_planners().values())

@@ -21,8 +21,7 @@ from benchmarks import common
 from dmc_multimode import pretrained
 from dmc_multimode.bin import app
 from dmc_multimode.evaluation import acceptance
-from dmc_multimode.evaluation import evaluator
-from dmc_multimode.evaluation import evaluator as scoring
+from dmc_multimode.evaluation import evaluator as evaluator_lib
 from dmc_multimode.evaluation import figures
 from dmc_multimode.experiments import symmetry
 from dmc_multimode.modes import mode_set as mode_set_lib
@@ -98,7 +97,7 @@ def make_schedule(
 
 
 def judge(
-  policy: scoring.Policy,
+  policy: evaluator_lib.Policy,
   config: task_config.ImitationConfig,
   first: str,
   second: str,
@@ -116,7 +115,7 @@ def judge(
     time_limit=float(schedule.starts.max()) + _SECONDS,
     limits=terminations.falls_alone(config.limits),
   )
-  evaluator = scoring.Evaluator(policy, config, seed, quiet=True)
+  evaluator = evaluator_lib.Evaluator(policy, config, seed, quiet=True)
   found = evaluator.run(schedule, 'switches')
   motion = mode_set.motions[mode_set.index(second)]
   kept = []
@@ -160,7 +159,7 @@ def main(argv: Sequence[str]) -> None:
   switched = HardSwitch(unimodal)
   first, second = switched.mode_set.names
   config = dataclasses.replace(multimodal.config, events=events.NONE)
-  policies: dict[str, evaluator.Policy] = {
+  policies: dict[str, evaluator_lib.Policy] = {
     _POLICY.value: multimodal,
     f'{_BEFORE.value}, {_AFTER.value}': switched,
   }

@@ -24,8 +24,7 @@ import tqdm
 from benchmarks import common
 from dmc_multimode import pretrained
 from dmc_multimode.bin import app
-from dmc_multimode.evaluation import evaluator
-from dmc_multimode.evaluation import evaluator as scoring
+from dmc_multimode.evaluation import evaluator as evaluator_lib
 from dmc_multimode.evaluation import scores
 from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes import schedule as schedule_lib
@@ -96,7 +95,7 @@ class Worlds(batched_env.BatchedImitation):
   def __init__(
     self,
     case: Case,
-    policy: evaluator.Policy,
+    policy: evaluator_lib.Policy,
     schedule: schedule_lib.ModeSchedule,
     config: task_config.ImitationConfig,
     seed: int,
@@ -149,7 +148,7 @@ def _with_edge(
   )
 
 
-class Evaluator(scoring.Evaluator):
+class Evaluator(evaluator_lib.Evaluator):
   """Evaluates in a `Case`."""
 
   def __init__(self, case: Case, policy: pretrained.Policy, seed: int):

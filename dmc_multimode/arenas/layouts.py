@@ -1,4 +1,4 @@
-"""Layouts of tracks: what stands where, as declarations.
+"""Layouts of tracks, declared as sequences of pieces.
 
 A new track is a function here and its row in `_FUNCTIONS`.
 """
@@ -17,8 +17,8 @@ class Piece(NamedTuple):
 
   Attributes:
     length: metres along x.
-    height: of its top over the ground at the start, in metres.
-    gap: metres of nothing before it.
+    height: of the top over the ground at the start, metres.
+    gap: width of the gap before the piece, metres.
   """
 
   length: Number
@@ -30,24 +30,24 @@ Layout = Sequence[Piece] | Callable[[np.random.RandomState], Sequence[Piece]]
 
 
 def flat() -> Sequence[Piece]:
-  """Level ground."""
+  """Returns level ground."""
   return (Piece(length=20.0),)
 
 
 def gap(distance: Number = 0.8, width: Number = 0.45) -> Sequence[Piece]:
-  """A gap of `width` metres that begins `distance` metres ahead."""
+  """Returns a gap of `width` metres, `distance` metres ahead."""
   return (Piece(distance), Piece(20.0, gap=width))
 
 
 def plateau(
   distance: Number = 0.7, length: Number = 0.6, height: Number = 0.2
 ) -> Sequence[Piece]:
-  """A plateau to climb and to leave again."""
+  """Returns a plateau to climb and to descend from."""
   return (Piece(distance), Piece(length, height), Piece(20.0))
 
 
 def block(distance: Number = 0.8, height: Number = 0.4) -> Sequence[Piece]:
-  """A block to launch onto, without end."""
+  """Returns a block to launch onto, to the end of the track."""
   return (Piece(distance), Piece(20.0, height))
 
 
@@ -57,7 +57,7 @@ def gap_block(
   landing: Number = 0.6,
   height: Number = 0.4,
 ) -> Sequence[Piece]:
-  """A gap, `landing` metres of ground, then a block."""
+  """Returns a gap, `landing` metres of ground, then a block."""
   return (Piece(distance), Piece(landing, gap=width), Piece(20.0, height))
 
 
@@ -69,7 +69,7 @@ _PARKOUR_RUN = (0.6, 1.0)  # Metres between obstacles.
 
 
 def parkour(random_state: np.random.RandomState) -> Sequence[Piece]:
-  """Gaps, plateaus and blocks of random size in random order."""
+  """Returns gaps, plateaus and blocks of random size in random order."""
   run = lambda: random_state.uniform(*_PARKOUR_RUN)
   pieces, ground = [Piece(run())], 0.0
   for kind in random_state.permutation(_PARKOUR_OBSTACLES):

@@ -1,6 +1,6 @@
 """Terrain as segments along x: pure functions with a leading batch axis.
 
-A terrain is a row of box segments, sorted by where they start. The support
+A terrain is a row of box segments, sorted by their starts. The support
 plane under a point is the top of the last segment that starts at or before it,
 so that over a gap it stays that of the segment before the gap.
 """
@@ -15,12 +15,12 @@ _PARKED = -100.0  # Height of the boxes that a terrain does not use, metres.
 
 
 class Terrain(NamedTuple):
-  """Segments of B terrains, S places each; unused places start at infinity.
+  """Segments of B terrains, S each; unused ones start at infinity.
 
   Attributes:
-    starts: where each segment begins, metres, [B, S], rising along S.
-    ends: where it ends, metres, [B, S].
-    tops: height of its upper face, metres, [B, S].
+    starts: x of the starts, metres, [B, S], rising along S.
+    ends: x of the ends, metres, [B, S].
+    tops: heights of the upper faces, metres, [B, S].
   """
 
   starts: np.ndarray
@@ -46,7 +46,7 @@ def empty(num_worlds: int, num_segments: int) -> Terrain:
 
 
 def support_height(terrain: Terrain, x: np.ndarray) -> np.ndarray:
-  """Returns the height of the support plane under `x`, metres, [B].
+  """Returns the support heights at `x`, metres, [B].
 
   Args:
     terrain: B terrains.
@@ -57,14 +57,14 @@ def support_height(terrain: Terrain, x: np.ndarray) -> np.ndarray:
 
 
 def segment_start(terrain: Terrain, x: np.ndarray) -> np.ndarray:
-  """Returns where the segment under `x`, [B], begins, world metres, [B]."""
+  """Returns the start of the segment under `x`, [B], world metres, [B]."""
   return terrain.starts[np.arange(len(x)), _segment_under(terrain, x)]
 
 
 def clearance_height(
   terrain: Terrain, x: np.ndarray, reach: float
 ) -> np.ndarray:
-  """Returns the highest top within `reach` metres of `x`, [B]."""
+  """Returns the highest top within `reach` metres of `x`, metres, [B]."""
   near = (terrain.starts <= x[:, None] + reach) & (
     terrain.ends >= x[:, None] - reach
   )
@@ -75,16 +75,16 @@ def clearance_height(
 def next_segment(
   terrain: Terrain, x: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-  """Returns what follows the segment under `x`.
+  """Returns start, rise and gap of the segment after that under `x`.
 
   Args:
     terrain: B terrains.
     x: world positions in metres, [B].
 
   Returns:
-    Where the next segment starts, world metres, infinite where there is none,
-    [B]; its height over the support plane under `x`, metres, [B]; and the gap
-    before it, metres, [B].
+    Start of the next segment, world metres, infinite if there is none, [B]; its
+    height over the support plane under `x`, metres, [B]; and the width of the
+    gap before it, metres, [B].
   """
   rows, under = np.arange(len(x)), _segment_under(terrain, x)
   following = np.minimum(under + 1, terrain.starts.shape[1] - 1)
@@ -105,8 +105,8 @@ def with_ledge(
 ) -> Terrain:
   """Returns terrains with a ledge ahead of `x`, and level ground behind it.
 
-  The segment under `x` is cut before `edge`, one new segment reaches to
-  where the terrain used to end, and what stood ahead is dropped.
+  The segment under `x` is cut before `edge`, one new segment reaches to the
+  former end of the terrain, and the segments ahead are dropped.
 
   Args:
     terrain: B terrains.
@@ -114,10 +114,10 @@ def with_ledge(
     edge: position of the ledge in metres, [B], ahead of `x`.
     height: of the new segment over the support plane under `x`, in metres, [B]
       or one for all.
-    gap: metres of nothing before the ledge, [B] or one for all.
+    gap: width of a gap before the ledge, metres, [B] or one for all.
 
   Raises:
-    ValueError: no place is left for one more segment.
+    ValueError: no unused segment is left.
   """
   starts, ends, tops = (field.copy() for field in terrain)
   rows, under = np.arange(len(x)), _segment_under(terrain, x)
@@ -138,7 +138,7 @@ def with_ledge(
 
 
 def levelled(terrain: Terrain, x: np.ndarray) -> Terrain:
-  """Returns terrains that go on as they are at `x`, [B], to their ends."""
+  """Removes segments ahead of `x`: extends the one under `x` to the end."""
   starts, ends, tops = (field.copy() for field in terrain)
   rows, under = np.arange(len(x)), _segment_under(terrain, x)
   used = np.where(np.isinf(ends), -np.inf, ends)
@@ -149,7 +149,7 @@ def levelled(terrain: Terrain, x: np.ndarray) -> Terrain:
 
 
 def levelled_behind(terrain: Terrain, x: np.ndarray) -> Terrain:
-  """Returns terrains that are from their beginning as they are at `x`, [B]."""
+  """Removes segments behind `x`: extends the one under `x` to the start."""
   places = np.arange(terrain.starts.shape[1])
   kept = places + _segment_under(terrain, x)[:, None]
   beyond = kept >= len(places)
@@ -180,9 +180,9 @@ def boxes(terrain: Terrain) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _segment_under(terrain: Terrain, x: np.ndarray) -> np.ndarray:
-  """Index of the last segment that starts at or before x, [B]."""
+  """Returns the index of the last segment that starts at or before x, [B]."""
   under = np.zeros(len(x), dtype=np.int64)
-  # Not as a sum over each row: numpy is slow at short ones.
+  # A loop over columns: numpy is slow at sums of short rows.
   for start in terrain.starts.T[1:]:
     under += start <= x
   return under

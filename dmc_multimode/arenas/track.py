@@ -1,4 +1,4 @@
-"""A Composer arena over a pool of boxes that is rearranged, never recompiled.
+"""Composer arena of a pool of boxes, moved without recompilation.
 
 Each segment is a mocap body with one box geom. Two facts make that work: a
 mocap body's pose is part of the state, whereas moving a static geom leaves its
@@ -34,11 +34,11 @@ class Track(composer.Arena):
 
     Args:
       layout: the pieces from x = 0 on, or a function that draws them. The first
-        piece also reaches back behind the origin, the last one runs out.
-      num_segments: size of the pool. More than the layout needs leaves places
-        for the ledges that modes such as launch call for.
-      adaptive: puts a ledge (a block, say) where a commanded mode needs it, as
-        in training; otherwise the track stays as it was drawn.
+        piece also extends behind the origin, the last one is extended ahead.
+      num_segments: size of the pool. Segments beyond those of the layout serve
+        for the ledges of modes such as launch.
+      adaptive: places a ledge, such as a block, where a commanded mode needs
+        it, as in training; otherwise the track stays as drawn.
       name: of the arena.
 
     Raises:
@@ -98,13 +98,13 @@ class Track(composer.Arena):
     # Without a GPU shadows cost half of a frame, and much more at 2048.
     root.visual.quality.shadowsize = 1024
     root.statistic.center, root.statistic.extent = [0, 0, 0.5], 3.0
-    # The boxes and feet need far less; set so that no growth is ever needed.
+    # More than boxes and feet need, so that memory never grows.
     root.size.memory = '2M'
 
   def _add_light_and_camera(self) -> None:
     root = self._mjcf_root
-    # From behind, so that walls ahead are lit; shadows are of the robot's own
-    # light, for a light that stands still has none beyond a few metres.
+    # From behind, so that walls ahead are lit; shadows come from the robot's
+    # own light, because those of a fixed light end after a few metres.
     root.worldbody.add(
       'light',
       pos=[0, 0, 6],
@@ -149,7 +149,7 @@ class Track(composer.Arena):
 
   @property
   def terrain(self) -> terrain_lib.Terrain:
-    """Terrain that stands now (a batch of one)."""
+    """Current terrain, a batch of one."""
     return self._terrain
 
   def generate(
@@ -192,7 +192,7 @@ class Track(composer.Arena):
     geoms = physics.bind(self._geoms)
     bodies = physics.bind([geom.parent for geom in self._geoms])
     bodies.mocap_pos = centres[0]
-    bodies.pos = centres[0]  # Where a reset of the physics puts them.
+    bodies.pos = centres[0]  # The poses after a reset of the physics.
     model, geom_ids = physics.model, np.asarray(geoms.element_id)
     body_ids = model.geom_bodyid[geom_ids]
     write_sizes(
@@ -208,13 +208,13 @@ class Track(composer.Arena):
   def regenerate(
     self, physics: Any, random_state: np.random.RandomState
   ) -> None:
-    """Draws a new terrain; a task calls it at the start of an episode."""
+    """Draws and applies a new terrain, at the start of an episode."""
     self.apply(physics, self.generate(random_state))
 
   def after_compile(
     self, physics: Any, random_state: np.random.RandomState
   ) -> None:
-    """Puts the boxes in place, so that no task need know about them."""
+    """Moves the boxes to the current terrain."""
     del random_state  # A recompilation must not change the terrain.
     if not np.isfinite(self._terrain.starts[0, 0]):
       self._terrain = self.generate(np.random.RandomState(0))
@@ -248,7 +248,7 @@ def write_sizes(
 def _place(
   pieces: Sequence[layouts.Piece], num_segments: int
 ) -> terrain_lib.Terrain:
-  """Lays pieces of plain numbers end to end."""
+  """Returns the terrain of consecutive pieces."""
   result = terrain_lib.empty(1, num_segments)
   x = 0.0
   for i, piece in enumerate(pieces):
@@ -273,8 +273,7 @@ def make(
 ) -> Track:
   """Returns the named track.
 
-  Only 'flat' is adaptive: the other tracks are there to be mastered as they
-  are.
+  Only 'flat' is adaptive; the other tracks stay as drawn.
 
   Args:
     name: one of `layouts.NAMES`.

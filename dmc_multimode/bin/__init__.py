@@ -2,8 +2,8 @@
 
 import warnings
 
-# dm_control tries a display when it is imported. Commands that draw choose
-# another way first (`gl`), the others draw nothing: no need to tell the user.
+# dm_control tries to open a display when it is imported, and warns. Commands
+# that render choose a backend first (`gl`); the others render nothing.
 warnings.filterwarnings('ignore', message='.*DISPLAY environment variable')
 
 __all__ = ['app', 'flags']

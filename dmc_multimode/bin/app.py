@@ -1,6 +1,6 @@
-"""How every binary of this package starts and ends.
+"""Common entry point of the commands: flags, errors, exit codes.
 
-A binary is a module `dmc_multimode/bin/NAME.py` of this form; its console
+A command is a module `dmc_multimode/bin/NAME.py` of this form; its console
 script `dmc-multimode-NAME` in `setup.cfg` points at `cli`:
 
     def main(argv: Sequence[str]) -> None:
@@ -12,13 +12,12 @@ script `dmc-multimode-NAME` in `setup.cfg` points at `cli`:
     if __name__ == '__main__':
       cli()
 
-A binary that renders calls `gl.choose_backend()` first thing in `main` and
+A command that renders calls `gl.choose_backend()` first thing in `main` and
 imports whatever imports dm_control after that, inside `main`.
 
-Exit codes: 0 done; 1 a bug (with a traceback); 2 something the user can put
-right, flags included (one line `error: ...` on stderr, and the traceback too
-with `--verbosity=1`); 3 all in order, but what was looked for was not found (a
-plan); 130 interrupted.
+Exit codes: 0 success; 1 a bug (with a traceback); 2 an error that the user can
+mend, flags included (one line `error: ...` on stderr, and the traceback with
+`--verbosity=1`); 3 no plan reaches the goal; 130 interrupted.
 """
 
 import functools
@@ -42,10 +41,10 @@ Main = Callable[[Sequence[str]], int | None]
 
 EXIT_ERROR = 2
 EXIT_UNSOLVED = 3
-EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells report it.
+EXIT_INTERRUPTED = 130  # 128 + SIGINT, as in shells.
 
-# What a wrong input, a missing file or a missing extra raises. Anything else
-# is a bug of ours and keeps its traceback.
+# Errors of inputs, missing files and missing extras. Others are bugs, with a
+# traceback.
 EXPECTED_ERRORS = (
   ValueError,  # Names, numbers, schedules, malformed or foreign files.
   OSError,  # Files that are missing or not writable; no GL library.
@@ -59,12 +58,12 @@ _FLAGFILE = re.compile(r'--?flagfile(=(?P<value>.*))?', re.DOTALL)
 def run(main: Main, argv: Sequence[str] | None = None) -> NoReturn:
   """Parses the flags, calls `main` and exits; see the module's docstring.
 
-  `--flagfile=flags/NAME.flags` means the packaged flagfile where there is no
-  such path, so that a command reads the same in a checkout and elsewhere.
+  `--flagfile=flags/NAME.flags` is the packaged flagfile if there is no such
+  path, so that commands are the same in a checkout and elsewhere.
 
   Args:
-    main: Gets the program's name alone: these binaries take flags only, and
-      any other argument is an error. Its return value is the exit code.
+    main: Receives the program's name only: positional arguments are an error.
+      Returns the exit code, None for 0.
     argv: Command line, program name first; `sys.argv` if None.
   """
   try:
@@ -79,9 +78,9 @@ def run(main: Main, argv: Sequence[str] | None = None) -> NoReturn:
 
 
 def _lend_help(module: types.ModuleType) -> None:
-  """Shows a command's own text and flags by `--help` of its console script.
+  """Makes `--help` of a console script show the command's text and flags.
 
-  absl takes them from the main module, which then is a stub.
+  absl takes both from the main module, which is a stub there.
   """
   sys.modules['__main__'].__doc__ = module.__doc__
   for flag in flags.FLAGS.get_flags_for_module(module.__name__):
@@ -89,7 +88,7 @@ def _lend_help(module: types.ModuleType) -> None:
 
 
 def _parse_flags(args: Sequence[str]) -> list[str]:
-  """Parses the flags; in place of absl's two lines and exit code 1."""
+  """Parses the flags; errors are one line with exit code 2."""
   try:
     rest: list[str] = flags.FLAGS(args)
     return rest
@@ -109,7 +108,7 @@ def find_flagfiles(argv: Sequence[str]) -> list[str]:
     argv: Command line, in any of absl's spellings of `--flagfile`.
 
   Returns:
-    A command line for absl; everything else in it is as it was.
+    A command line for absl, otherwise unchanged.
 
   Raises:
     FileNotFoundError: If a flagfile is neither a path nor packaged.
@@ -122,13 +121,13 @@ def find_flagfiles(argv: Sequence[str]) -> list[str]:
       value = match['value'] if match['value'] is not None else next(args, None)
       arg = arg if value is None else f'--flagfile={_flagfile(value)}'
     found.append(arg)
-    if arg == '--':  # absl parses nothing beyond.
+    if arg == '--':  # absl stops parsing here.
       found.extend(args)
   return found
 
 
 def _flagfile(value: str) -> str:
-  """Path of one flagfile: itself where it exists, else the packaged one."""
+  """Returns the path of a flagfile, or that of the packaged one."""
   path = pathlib.Path(value.strip()).expanduser()
   if path.exists() and not path.is_dir():
     return value
@@ -139,7 +138,7 @@ def _flagfile(value: str) -> str:
 
 
 def _guard(main: Main, argv: Sequence[str]) -> int:
-  """Calls `main` and turns what it may raise into an exit code."""
+  """Calls `main`; returns the exit code of its errors."""
   if logging.get_verbosity() == logging.INFO:
     logging.set_verbosity(logging.WARNING)  # dm_control greets at INFO.
   try:

@@ -1,11 +1,11 @@
-r"""Draws how trainings went: returns of groups of runs, and what was sampled.
+r"""Draws training curves: returns of groups of runs, and sampling.
 
 python -m dmc_multimode.bin.curves --out=figures \
   --run=adaptive=runs/pi2_0 --run=adaptive=runs/pi2_1 \
   --run=uniform=runs/pi2_uniform_0 --run=uniform=runs/pi2_uniform_1
 
-Runs of one label are seeds of the same thing: a line is their mean, a band
-reaches from the lowest to the highest.
+Runs of one label are seeds of one setting: a line is their mean, a band their
+range.
 """
 
 import pathlib
@@ -27,7 +27,7 @@ RETURNS_FILE, SAMPLING_FILE = 'returns.png', 'sampling.png'
 
 
 def _groups(items: Sequence[str]) -> dict[str, list[training_figures.Curves]]:
-  """Reads the runs of --run by label."""
+  """Returns the runs of --run by label."""
   if not items:
     raise ValueError('Name a run: --run=LABEL=FOLDER.')
   groups: dict[str, list[training_figures.Curves]] = {}
@@ -41,7 +41,7 @@ def _groups(items: Sequence[str]) -> dict[str, list[training_figures.Curves]]:
 
 
 def main(argv: Sequence[str]) -> None:
-  """Reads and draws."""
+  """Reads the runs and draws their curves."""
   del argv
   out = files.output_folder('out', _OUT.value)
   if out is None:

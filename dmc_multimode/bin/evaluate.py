@@ -2,9 +2,9 @@
 
 python -m dmc_multimode.bin.evaluate --policy=quickstart --out=report.json
 
---html=report.html is the same to be looked at: one page with tables, a heat map
-of the transitions, figures, and a short video of every mode. Under `torchrun`
-in place of `python`, several processes share the episodes.
+--html=report.html writes a page with tables, a heat map of the transitions,
+figures, and a short video of every mode. Under `torchrun` in place of `python`,
+several processes share the episodes.
 """
 
 import functools
@@ -49,7 +49,7 @@ _CLOCK_RATE = flags.DEFINE_float('clock_rate', 1.0, 'Of the modes.')
 
 
 def _rates() -> list[float]:
-  """Returns --clock_rates."""
+  """Returns the values of --clock_rates."""
   try:
     return [float(rate) for rate in _CLOCK_RATES.value or ()]
   except ValueError as error:
@@ -57,9 +57,9 @@ def _rates() -> list[float]:
 
 
 def _why_no_videos() -> str:
-  """Readies what draws; returns why there is none, empty if there is.
+  """Chooses an OpenGL backend; returns the reason for none, or ''.
 
-  It comes before anything imports dm_control.
+  Must be called before dm_control is imported.
   """
   try:
     gl.choose_backend()
@@ -69,7 +69,7 @@ def _why_no_videos() -> str:
 
 
 def _evaluate(no_videos: str, communicator: distributed.Communicator) -> None:
-  """Evaluates; rank 0 reports."""
+  """Evaluates the policy; rank 0 reports."""
   # These import dm_control, which reads what draws.
   from dmc_multimode import pretrained
   from dmc_multimode.evaluation import scores
@@ -114,7 +114,7 @@ def _report(
   folder: pathlib.Path | None,
   no_videos: str,
 ) -> None:
-  """Prints, writes and draws what there is to be told."""
+  """Prints and writes the report, figures and page."""
   from dmc_multimode.evaluation import figures
   from dmc_multimode.evaluation import report
   from dmc_multimode.evaluation import scores

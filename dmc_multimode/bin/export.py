@@ -1,13 +1,12 @@
-r"""Exports a policy for run times that know neither torch nor this package.
+r"""Exports a policy to ONNX, for runtimes without torch or this package.
 
   python -m dmc_multimode.bin.export --policy=pi2 --format=onnx --out=pi2.onnx
 
-The model is the policy without exploration: `observation`, float32 [B, D], raw
-as the task gives it, to `action`, float32 [B, 10], joint targets in radians.
-The normalisation of the observations is inside. What else it takes to run it is
-JSON in the model's metadata: `modes`, `latents` (the command of each mode),
-`control_timestep` (seconds) and `observation` (names and sizes of its parts, in
-their order).
+The model maps `observation`, float32 [B, D], raw as from the task, to the mean
+`action`, float32 [B, 10], joint targets in radians. Observations are normalised
+inside. The model's metadata have, as JSON: `modes`, `latents` (the command of
+each mode), `control_timestep` (seconds) and `observation` (names and sizes of
+its parts, in their order).
 """
 
 import json
@@ -31,25 +30,25 @@ _POLICY = flags.DEFINE_string(
 _FORMAT = flags.DEFINE_enum('format', 'onnx', ['onnx'], 'Of the file.')
 _OUT = flags.DEFINE_string('out', None, 'The file to write.')
 
-_CHECKED = 256  # Random observations that both run times must agree on.
+_CHECKED = 256  # Random observations for the comparison.
 _TOLERANCE = 1e-5  # Radians.
-_SPREAD = 3.0  # Standard deviations of these from the observations' mean.
+_SPREAD = 3.0  # Deviation of these, in standard deviations.
 
 
 class _Actor(nn.Module):
-  """The part of the network that acts."""
+  """The policy part of the network, for export."""
 
   def __init__(self, policy: pretrained.Policy):
     super().__init__()
     self._network = policy.network
 
   def forward(self, observation: torch.Tensor) -> torch.Tensor:
-    """Joint targets [B, 10] for raw observations [B, D]."""
+    """Returns mean joint targets [B, 10] for raw observations [B, D]."""
     return self._network.act(observation)
 
 
 def metadata(policy: pretrained.Policy) -> dict[str, Any]:
-  """Returns what the model's metadata say, JSON-able; see the module."""
+  """Returns the model's metadata, JSON values; see the module."""
   mode_set = policy.mode_set
   return {
     'modes': list(mode_set.names),
@@ -74,7 +73,7 @@ def to_onnx(policy: pretrained.Policy) -> bytes:
   except ModuleNotFoundError as error:
     raise ModuleNotFoundError(_missing(error)) from error
   example = torch.zeros(2, policy.network.observation_size)
-  # Of operators that no policy has, and of torch's own deprecations.
+  # Warnings of unused operators, and of torch's own deprecations.
   logging.getLogger('torch.onnx').setLevel(logging.ERROR)
   with warnings.catch_warnings():
     warnings.simplefilter('ignore')
@@ -97,11 +96,11 @@ def to_onnx(policy: pretrained.Policy) -> bytes:
 
 
 def difference(policy: pretrained.Policy, model: bytes) -> float:
-  """Returns the most by which onnxruntime and torch act apart, radians.
+  """Returns the largest difference of onnxruntime and torch, radians.
 
   Args:
-    policy: what acts in torch.
-    model: that was exported from it.
+    policy: the original.
+    model: exported from the policy.
 
   Raises:
     ModuleNotFoundError: the extra `export` is not installed.
@@ -134,7 +133,7 @@ def _missing(error: ModuleNotFoundError) -> str:
 
 
 def main(argv: Sequence[str]) -> None:
-  """Exports, compares and writes: no file is replaced by a wrong one."""
+  """Exports, compares and writes; a wrong model replaces no file."""
   del argv
   out = files.output_file('out', _OUT.value)
   if out is None:

@@ -2,8 +2,8 @@
 
 A field `discount` of a class defined under the prefix 'ppo' becomes the flag
 `--ppo_discount`; the fields of a configuration in it are flags of their own.
-Its help is what the docstring of its class says of it, its value is read as the
-field's type says. A schedule is a text, see `utils.schedule.parse`.
+Its help comes from the docstring of the class, its parser from the type of the
+field. For schedules see `utils.schedule.parse`.
 """
 
 import dataclasses
@@ -20,7 +20,7 @@ from dmc_multimode.utils import schedule
 
 FLAGS = flags.FLAGS
 
-# Names of flags in flagfiles that people wrote -> how to say it now.
+# Former names of flags -> their replacement, for the error.
 RENAMED = {
   'ppo_min_std': 'ppo_std_floor=STD, or STD:FINAL@START:END',
   'ppo_final_min_std': 'ppo_std_floor=STD:FINAL@START:END',
@@ -53,10 +53,10 @@ RENAMED = {
 
 
 class _Parser(flags.ArgumentParser):
-  """Reads the text of a flag as a field of a configuration."""
+  """Parser of a flag for a field of a configuration."""
 
   def __init__(self, kind: Any):
-    """Reads values of the type `kind`."""
+    """Parses values of the type `kind`."""
     plain = kind
     while typing.get_origin(plain) is typing.Annotated:
       plain = typing.get_args(plain)[0]
@@ -69,7 +69,7 @@ class _Parser(flags.ArgumentParser):
     )
 
   def parse(self, argument: Any) -> Any:
-    """Returns the value; raises ValueError for what the field refuses."""
+    """Returns the value; raises ValueError if the field refuses it."""
     if self._is_list and isinstance(argument, str):
       argument = argument.split(',')
     try:
@@ -79,7 +79,7 @@ class _Parser(flags.ArgumentParser):
 
 
 class _Serializer(flags.ArgumentSerializer):
-  """Writes a value as `_Parser` reads it."""
+  """Serialises values to text for `_Parser`."""
 
   def serialize(self, value: Any) -> str:
     """Returns the text."""
@@ -103,7 +103,7 @@ def define(config: Any, prefix: str) -> None:
 
 
 def read(config: Any, prefix: str) -> Any:
-  """Returns `config` with the values of those of its flags that were given.
+  """Returns `config` with the values of the flags that were given.
 
   Raises:
     ValueError: the configuration refuses their combination.
@@ -122,7 +122,7 @@ def read(config: Any, prefix: str) -> Any:
 
 
 def given(config: Any, prefix: str) -> dict[str, Any]:
-  """Returns the values of those flags of `config` that were given, by name."""
+  """Returns the values of the given flags of `config`, by name."""
   found: dict[str, Any] = {}
   for field, value in _fields(config):
     name = f'{prefix}_{field}'
@@ -134,7 +134,7 @@ def given(config: Any, prefix: str) -> dict[str, Any]:
 
 
 def _attributes(kind: type) -> dict[str, str]:
-  """Returns what the docstring of a class says of each of its fields."""
+  """Returns the descriptions of fields in the docstring of a class."""
   _, _, section = inspect.cleandoc(kind.__doc__ or '').partition(
     'Attributes:\n'
   )

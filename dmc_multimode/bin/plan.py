@@ -1,11 +1,11 @@
-r"""Plans a way across a track: which mode to command when.
+r"""Plans mode commands across a track.
 
   python -m dmc_multimode.bin.plan --flagfile=flags/plan_gap.flags \
     --policy=pi2 --out=plan.json --figure=plan.png
 
-A plan is open-loop: with pushes that the planner does not know of, it leads
-elsewhere. With --replan_every the planner runs again on the way, from where the
-robot then is, and what is written are the modes that were commanded:
+A plan is open-loop, and pushes are unknown to the planner. With --replan_every
+it plans again on the way, from the robot's current state, and writes the modes
+that were commanded:
 
   python -m dmc_multimode.bin.plan --flagfile=flags/plan_gap_block.flags \
     --policy=pi2 --push=0.6:-0.5 --replan_every=2 --out=plan.json
@@ -61,7 +61,7 @@ for _name, _config in solver.PLANNERS.items():
 
 
 def _read_problem() -> reaching.ReachingConfig:
-  """Returns the problem that the flags describe."""
+  """Returns the reaching problem of the flags."""
   try:
     x, y, z = (float(value) for value in _GOAL.value)
   except ValueError as error:
@@ -74,7 +74,7 @@ def _read_problem() -> reaching.ReachingConfig:
 
 
 def _read_sizes() -> dict[str, float]:
-  """Returns the sizes that --sizes gives."""
+  """Returns the sizes of --sizes by name."""
   sizes: dict[str, float] = {}
   for item in _SIZES.value:
     name, _, value = item.partition(':')

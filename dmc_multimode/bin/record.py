@@ -1,4 +1,4 @@
-r"""Records a policy that follows a schedule of modes, as a video.
+r"""Records a video of a policy that follows a mode schedule.
 
   python -m dmc_multimode.bin.record --policy=quickstart \
     --schedule=walk_forward:2,leap_forward:3 --arena=flat --out=video.mp4
@@ -6,9 +6,9 @@ r"""Records a policy that follows a schedule of modes, as a video.
   python -m dmc_multimode.bin.record --policy=pi2 --plan=plan.json \
     --out=video.mp4
 
-A file that ends in .gif becomes a GIF that repeats, of fewer frames a second.
-The translucent box is the reference. A robot that falls is recorded on, with
-the cause in the frame, unless --terminate is given.
+A file with the suffix .gif is a repeating GIF with fewer frames a second. The
+translucent box is the reference. After a fall the video continues, with the
+cause in the frame, unless --terminate is given.
 """
 
 from typing import Sequence
@@ -53,7 +53,7 @@ _SLOW_MOTION = flags.DEFINE_float('slow_motion', 1.0, 'Times slower than life.')
 
 
 def main(argv: Sequence[str]) -> None:
-  """Films and tells how each command went; `argv` holds no flags."""
+  """Records the video; prints the outcomes. `argv` holds no flags."""
   del argv
   if not _POLICY.value:
     raise ValueError('Say which policy to record: --policy=NAME_OR_FOLDER.')

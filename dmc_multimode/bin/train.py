@@ -6,16 +6,16 @@ r"""Trains a policy.
 Every field of the configurations is a flag, which --helpfull explains: --ppo_*,
 --sampling_*, --task_*. A value that changes along the training is a schedule
 `FIRST[:LAST][@START[:END]]` over environment steps, such as 0:0.5@8e6.
-Ctrl-C stops after the current iteration, with a checkpoint; --resume goes on
-from the last checkpoint as if nothing had happened.
+Ctrl-C stops after the current iteration, with a checkpoint; --resume continues
+from the last checkpoint, bit for bit.
 
     python -m dmc_multimode.bin.train --init_from=pi2 \
       --mode_file=docs/squat.yaml --steps=4000000 --run_dir=runs/squat
 
-begins with a policy, which gains modes: see docs/ADD_A_MODE.md.
+fine-tunes a policy with new modes: see docs/ADD_A_MODE.md.
 
 Under `torchrun` in place of `python`, several processes train one policy, each
-in its share of the worlds: see docs/SCALING.md.
+with a share of the worlds: see docs/SCALING.md.
 """
 
 import functools
@@ -90,8 +90,8 @@ _KEEP_EVERY = flags.DEFINE_integer(
   _LENGTH.keep_every,
   'Environment steps between policies kept in RUN_DIR/policies; 0: none.',
 )
-# Fields of `RunConfig` that are one flag, and those of many fields, each of
-# which is one.
+# Fields of `RunConfig` that are one flag, and nested configurations, whose
+# fields are flags.
 _SIMPLE = ('seed', 'num_worlds', 'threads', 'one_hot')
 _PARTS = ('ppo', 'sampling', 'task')
 for _part in _PARTS:
@@ -99,7 +99,7 @@ for _part in _PARTS:
 
 
 def _given() -> dict[str, Any]:
-  """Returns the values of those flags of `RunConfig` that were given."""
+  """Returns the values of the given flags of `RunConfig`."""
   values = {
     name: flags.FLAGS[name].value
     for name in ('modes', *_SIMPLE)

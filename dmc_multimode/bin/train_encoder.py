@@ -1,4 +1,4 @@
-r"""Trains the mode encoder of a mode set and draws what it has learned.
+r"""Trains the mode encoder of a mode set and draws its encoding.
 
   python -m dmc_multimode.bin.train_encoder --modes=pi2 --out=DIR
 
@@ -41,7 +41,7 @@ def main(argv: Sequence[str]) -> None:
   """Checks the input, trains, then writes; `argv` holds no flags."""
   del argv
   motions = _motions(_MODES.value, _MODE_FILE.value)
-  motion_lib.check_names(motions)  # Refuses duplicates before a bar shows.
+  motion_lib.check_names(motions)  # Refuses duplicates before the progress bar.
   config = mode_encoder.EncoderConfig(
     use_contacts=encoder_training.needs_contacts(motions), seed=_SEED.value
   )
@@ -117,7 +117,7 @@ def draw(trained: mode_encoder.ModeEncoder) -> matplotlib.figure.Figure:
 def _motions(
   spec: str, mode_file: str | None
 ) -> tuple[motion_lib.ReferenceMotion, ...]:
-  """Returns the modes of `spec`, and those of a user's file behind them."""
+  """Returns the modes of `spec`, followed by those of a mode file."""
   extra = mode_files.load(mode_file) if mode_file else ()
   motions = library.resolve(spec, extra)
   named = {motion.name for motion in motions}
@@ -125,7 +125,7 @@ def _motions(
 
 
 def _writable(out: str | None) -> pathlib.Path:
-  """Makes the directory; raises ValueError or OSError if it is of no use."""
+  """Makes the directory; raises ValueError or OSError if not writable."""
   if not out:
     raise ValueError('Say where to write to: --out=DIR.')
   path = pathlib.Path(out)
@@ -153,7 +153,7 @@ def _train(
 
 
 def cli() -> None:
-  """Runs the binary."""
+  """Runs as a console script."""
   app.run(main)
 
 

@@ -1,12 +1,12 @@
-r"""Shows a policy on a page in the browser, and lets people command it.
+r"""Serves a browser page that shows and commands a policy.
 
   python -m dmc_multimode.bin.view --policy=pi2 --arena=gap_block
 
 Buttons and keys command modes, push the robot, choose the track, and search for
-a plan across it. The page is for this machine alone unless --host says
-otherwise: whoever reaches it can command the robot. Ctrl-C ends it.
+a plan across it. The page is reachable from this machine only, unless --host is
+given: everyone who reaches it can command the robot. Ctrl-C ends it.
 
-With --viewer=native it is dm_control's own viewer, which takes a display.
+--viewer=native opens dm_control's own viewer, which needs a display.
 """
 
 from typing import Sequence

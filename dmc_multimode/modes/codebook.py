@@ -1,4 +1,4 @@
-"""Command vectors (latents) of modes, and their file: one row a mode."""
+"""Latents of modes, and their file: one row a mode."""
 
 import dataclasses
 import json
@@ -10,16 +10,16 @@ import numpy as np
 from dmc_multimode.utils import files
 
 FILE = 'codebook.json'
-_MAX_BYTES = 1 << 20  # Larger files are none of ours.
+_MAX_BYTES = 1 << 20  # Larger files are rejected.
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Codebook:
-  """Latents that stand for modes in the policy's observation.
+  """Latents of modes in the policy's observation.
 
   Attributes:
     names: the modes' names, length M, in the order of their mode indices.
-    latents: command vectors, without unit, float32, [M, n_m].
+    latents: without unit, float32, [M, n_m].
   """
 
   names: tuple[str, ...]
@@ -48,7 +48,7 @@ class Codebook:
 
   @property
   def latent_dim(self) -> int:
-    """Returns n_m, the length of a command vector."""
+    """Returns n_m, the length of a latent."""
     return self.latents.shape[1]
 
   def index(self, name: str) -> int:
@@ -78,14 +78,14 @@ class Codebook:
     return json.dumps({'latents': rows}, indent=2)
 
   def save(self, directory: pathlib.Path) -> None:
-    """Writes `codebook.json` into a folder, whole or not at all."""
+    """Writes `codebook.json` into a folder, atomically."""
     files.write(directory / FILE, self.to_json().encode())
 
   def separation(self) -> float:
     """Returns the smallest over the mean distance between two modes.
 
-    It is 1 for a single mode and for one-hot codes, and 0 where two modes
-    share a latent (mode aliasing by construction).
+    The separation is 1 for a single mode and for one-hot codes, and 0 if two
+    modes share a latent (mode aliasing by construction).
     """
     between = self.distances()[np.triu_indices(len(self), 1)]
     if not between.size:
@@ -97,7 +97,7 @@ def load(path: pathlib.Path) -> Codebook:
   """Reads a codebook.
 
   Raises:
-    FileNotFoundError: there is no such file.
+    FileNotFoundError: the file does not exist.
     ValueError: the file is not a codebook.
   """
   content = files.read_json(path, _MAX_BYTES)

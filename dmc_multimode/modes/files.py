@@ -1,4 +1,4 @@
-"""Users' own modes: YAML or JSON files to reference motions and back.
+"""Mode files: reference motions as YAML or JSON.
 
 A file holds one mode, or several under `modes:`. Its fields are those of
 `motion.ReferenceMotion`, with the keyframes as a list:
@@ -37,15 +37,15 @@ from dmc_multimode.utils import yaml_lines
 MAX_BYTES = 1_000_000
 MAX_KEYFRAMES = 1000
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]{0,63}')
-_LEAST_NORM = 1e-3  # Of a quaternion before it is normalised.
+_LEAST_NORM = 1e-3  # Least norm of a quaternion before it is normalised.
 
 
 class ModeFileError(ValueError):
-  """A mode cannot be read; the message is one line: what, where and why."""
+  """A mode file is invalid; the message is one line with place and reason."""
 
 
 class _FieldError(ValueError):
-  """A value is wrong; `path` leads to it, the message says why."""
+  """A value at `path` is invalid."""
 
   def __init__(self, path: yaml_lines.Path, message: str):
     super().__init__(message)
@@ -92,9 +92,9 @@ _Phase = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
 
 
 class _Table(pydantic.BaseModel):
-  """A table of fields: no text for a number, nothing unknown, no inf or nan.
+  """Strict table of fields: no unknown fields, conversions, inf or nan.
 
-  What may be absent is None then, but not `null` in a file.
+  Optional fields default to None; `null` in a file is an error.
   """
 
   model_config = pydantic.ConfigDict(
@@ -142,7 +142,7 @@ def load(
 
   Raises:
     ModeFileError: the file cannot be read or is not a valid mode file; the
-      message begins with `FILE:LINE:` wherever there is a line to point at.
+      message begins with `FILE:LINE:` if the error has a line.
   """
   name = os.fspath(path)
   try:
@@ -175,7 +175,7 @@ def _load(
 
 
 def motion_from_dict(data: Mapping[str, Any]) -> motion_lib.ReferenceMotion:
-  """Returns the motion that `motion_to_dict` wrote, exactly.
+  """Returns the motion of a `motion_to_dict`, to the bit.
 
   Raises:
     ModeFileError: a field is missing, unknown or wrong; the message names it.
@@ -202,18 +202,18 @@ def _motions(data: Any) -> tuple[motion_lib.ReferenceMotion, ...]:
 
 
 def _validated(table: type[_Table], data: Any) -> Any:
-  """Returns the fields of `data`; raises _FieldError at the first wrong one."""
+  """Returns the validated fields; raises _FieldError at the first error."""
   try:
     return table.model_validate(data)
   except pydantic.ValidationError as error:
     problems = error.errors(include_url=False)
-  # A field that is misspelt is missing as well: the spelling is what helps.
+  # A misspelt field is missing as well: report the spelling.
   problem = min(problems, key=lambda found: found['type'] != 'extra_forbidden')
   raise _FieldError(problem['loc'], _explain(problem))
 
 
 def _explain(problem: Mapping[str, Any]) -> str:
-  """Returns what pydantic found, in the words of a mode file."""
+  """Returns pydantic's error in the terms of a mode file."""
   path, kind = problem['loc'], problem['type']
   names = [str(key) for key in path if isinstance(key, str)]
   known = ', '.join(_table_at(names).model_fields)
@@ -230,13 +230,13 @@ def _explain(problem: Mapping[str, Any]) -> str:
 
 
 def _table_at(names: list[str]) -> type[_Table]:
-  """Returns the table that the fields of a path belong to."""
+  """Returns the table class for a path of field names."""
   tables: dict[str, type[_Table]] = {'keyframes': _Keyframe, 'step': _Step}
   return next((tables[name] for name in names[::-1] if name in tables), _Mode)
 
 
 def _motion(mode: _Mode, path: yaml_lines.Path) -> motion_lib.ReferenceMotion:
-  """Builds one mode; raises _FieldError where its keyframes do not agree."""
+  """Builds one mode; raises _FieldError if its keyframes are inconsistent."""
   frames, where = mode.keyframes, (*path, 'keyframes')
   _check_phases([frame.phase for frame in frames], where)
   orientations = [
@@ -258,7 +258,7 @@ def _motion(mode: _Mode, path: yaml_lines.Path) -> motion_lib.ReferenceMotion:
     )
   except _FieldError:
     raise
-  except ValueError as error:  # What only the motion as a whole can tell.
+  except ValueError as error:  # Checks of the motion as a whole.
     raise _FieldError(where, str(error)) from None
 
 
@@ -284,7 +284,7 @@ def _orientation(frame: _Keyframe, path: yaml_lines.Path) -> np.ndarray:
       (*path, 'euler'), 'give either orientation or euler, not both.'
     )
   if frame.euler is not None:
-    from scipy.spatial import transform  # Late: it loads as long as numpy.
+    from scipy.spatial import transform  # Late: scipy imports slowly.
 
     turn = transform.Rotation.from_euler('xyz', frame.euler, degrees=True)
     return turn.as_quat(scalar_first=True)
@@ -299,7 +299,7 @@ def _orientation(frame: _Keyframe, path: yaml_lines.Path) -> np.ndarray:
 def _contacts(
   frames: Iterable[_Keyframe], path: yaml_lines.Path
 ) -> np.ndarray | None:
-  """Returns the feet's contacts, [K, 2], or None where no keyframe has any."""
+  """Returns the contacts of the feet, [K, 2], or None without any."""
   rows = [frame.contacts for frame in frames]
   if all(row is None for row in rows):
     return None
@@ -314,7 +314,7 @@ def _contacts(
 
 
 def motion_to_dict(motion: motion_lib.ReferenceMotion) -> dict[str, Any]:
-  """Returns a motion as plain data, as a mode file would hold it."""
+  """Returns a motion as plain data, in the form of a mode file."""
   keyframes: list[dict[str, Any]] = []
   for i, phase in enumerate(motion.phases.tolist()):
     keyframe: dict[str, Any] = {
@@ -341,7 +341,7 @@ def motion_to_dict(motion: motion_lib.ReferenceMotion) -> dict[str, Any]:
 
 
 def mode_set_to_dict(mode_set: mode_set_lib.ModeSet) -> dict[str, Any]:
-  """Returns a mode set as plain data: its modes, and their latents."""
+  """Returns a mode set as plain data: modes and latents."""
   return {
     'modes': [motion_to_dict(motion) for motion in mode_set.motions],
     'latents': mode_set.latents.tolist(),
@@ -349,11 +349,11 @@ def mode_set_to_dict(mode_set: mode_set_lib.ModeSet) -> dict[str, Any]:
 
 
 def mode_set_from_dict(data: Mapping[str, Any]) -> mode_set_lib.ModeSet:
-  """Returns the mode set that `mode_set_to_dict` wrote, exactly.
+  """Returns the mode set of a `mode_set_to_dict`, to the bit.
 
   Raises:
     KeyError: the modes or their latents are missing.
-    TypeError, ValueError, OverflowError: they are wrong.
+    TypeError, ValueError, OverflowError: the modes or latents are invalid.
   """
   motions = tuple(motion_from_dict(motion) for motion in data['modes'])
   names = tuple(motion.name for motion in motions)

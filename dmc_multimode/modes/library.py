@@ -1,4 +1,4 @@
-"""Named modes, and the sets that the paper's experiments train on."""
+"""Library of named modes, and the paper's mode sets."""
 
 import functools
 from typing import Iterable, Mapping, Sequence
@@ -11,7 +11,7 @@ from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.utils import constants
 from dmc_multimode.utils import resources
 
-_WALK_DURATION = 0.6  # Seconds for one stride of both feet.
+_WALK_DURATION = 0.6  # Seconds of a stride, one step of each foot.
 _WALK_SPEEDS = {  # m/s; forward covers the 2 m of Table III in 3.3 s.
   'forward': 0.6,
   'backward': 0.4,
@@ -47,7 +47,7 @@ _LAUNCH_X = (0.0, 0.02, 0.11, 0.26, 0.43, 0.56, 0.60)
 _LAUNCH_Z = (0.50, 0.40, 0.62, 0.90, 1.02, 0.88, 0.90)
 _LAUNCH_TAKEOFF, _LAUNCH_TOUCHDOWN = 0.42, 0.82
 
-# The way back: from the crouch over the edge, a fall of 0.33 s, a deep landing.
+# Reverse of a launch: a crouch over the edge, a fall of 0.33 s, a deep landing.
 _DESCENT_LEDGE = motion_lib.Ledge(edge=0.2, height=-0.4)
 _DESCENT_DURATION = 1.0  # Seconds.
 _DESCENT_PHASES = (0.0, 0.20, 0.38, 0.55, 0.71, 0.84, 1.0)
@@ -76,7 +76,7 @@ def _idle() -> motion_lib.ReferenceMotion:
 def _level(
   name: str, direction: str, contacts: np.ndarray, in_sync: bool
 ) -> motion_lib.ReferenceMotion:
-  """Constant height and speed; only the contacts tell walk from hop."""
+  """Returns a motion of constant height and speed, such as walk and hop."""
   distance = _WALK_SPEEDS[direction] * _WALK_DURATION
   end = np.append(
     distance * np.array(_DIRECTIONS[direction]), constants.STAND_HEIGHT
@@ -123,7 +123,7 @@ def _leap(direction: str) -> motion_lib.ReferenceMotion:
 
 
 def _turn(side: str) -> motion_lib.ReferenceMotion:
-  """Steps on the spot, the inner foot first."""
+  """Returns a turn on the spot, the inner foot first."""
   sign = {'left': 1.0, 'right': -1.0}[side]
   halves = sign * _TURN * np.array([0.0, 0.5, 1.0]) / 2
   zeros = np.zeros(3)
@@ -149,7 +149,7 @@ def _jump(
   ledge: motion_lib.Ledge,
   flight: tuple[float, float],
 ) -> motion_lib.ReferenceMotion:
-  """Returns a jump to another height, in the air during `flight` (phases)."""
+  """Returns a jump to another height, with phases of the `flight`."""
   moments = np.array(phases)
   flying = (moments >= flight[0]) & (moments < flight[1])
   return motion_lib.ReferenceMotion(
@@ -200,8 +200,7 @@ def modes() -> Mapping[str, motion_lib.ReferenceMotion]:
   return {motion.name: motion for motion in motions}
 
 
-# Table I of the paper, everything at once, and the short set that the quick
-# start trains on.
+# Table I of the paper, all modes, and the small set of the quick start.
 SETS: Mapping[str, tuple[str, ...]] = {
   'pi1': ('idle',)
   + tuple(f'walk_{d}' for d in _DIRECTIONS)
@@ -220,7 +219,7 @@ def resolve(
   spec: str | Sequence[str],
   extra: Iterable[motion_lib.ReferenceMotion] = (),
 ) -> tuple[motion_lib.ReferenceMotion, ...]:
-  """Returns the motions that `spec` names, in order.
+  """Resolves `spec` to motions, in order.
 
   Args:
     spec: a set's name ('pi2'), mode names separated by commas, or a sequence
@@ -259,14 +258,14 @@ def mode_set(
   spec: str | Sequence[str],
   extra: Iterable[motion_lib.ReferenceMotion] = (),
 ) -> mode_set_lib.ModeSet:
-  """Returns the modes that `spec` names, with the shipped latents.
+  """Returns the mode set of `spec`, with the shipped latents.
 
   Args:
-    spec: as `resolve` takes it.
-    extra: as `resolve` takes it.
+    spec: see `resolve`.
+    extra: see `resolve`.
 
   Raises:
-    ValueError: a name is unknown, or is of a mode without shipped latents.
+    ValueError: a name is unknown, or the mode has no shipped latent.
   """
   motions = resolve(spec, extra)
   names = [motion.name for motion in motions]

@@ -1,6 +1,6 @@
-"""A set of modes: their reference motions and what a policy calls them by.
+"""Mode sets: reference motions with their latents.
 
-Tasks, policies, plans and trainings refer to modes by their index in one.
+Tasks, policies, plans and trainings refer to modes by index in a set.
 """
 
 import dataclasses
@@ -20,11 +20,11 @@ class ModeSet:
   Attributes:
     motions: the reference motions, length M.
     codebook: the latents of the same modes, in the same order.
-    bank: the motions, stacked to be evaluated for a batch of worlds.
+    bank: the motions, stacked for batches of worlds.
 
   Raises:
-    ValueError: there is no mode, two have the same name, or the codebook is of
-      other modes.
+    ValueError: the set is empty, two modes have the same name, or the codebook
+      has other modes.
   """
 
   motions: tuple[motion_lib.ReferenceMotion, ...]
@@ -33,7 +33,7 @@ class ModeSet:
 
   def __post_init__(self) -> None:
     object.__setattr__(self, 'motions', tuple(self.motions))
-    # Stacking takes a while, so that it is done once for all users of the set.
+    # Stacking is slow, so that it is done once for all users of the set.
     object.__setattr__(self, 'bank', reference.ReferenceBank(self.motions))
     if self.codebook.names != self.names:
       raise ValueError(
@@ -51,12 +51,12 @@ class ModeSet:
 
   @property
   def latents(self) -> np.ndarray:
-    """Command vectors, without unit, float32, [M, n_m]."""
+    """Latents, without unit, float32, [M, n_m]."""
     return self.codebook.latents
 
   @property
   def latent_dim(self) -> int:
-    """Length n_m of a command vector."""
+    """Length n_m of a latent."""
     return self.codebook.latent_dim
 
   def index(self, name: str) -> int:
@@ -70,7 +70,7 @@ class ModeSet:
 
 
 def one_hot(motions: Sequence[motion_lib.ReferenceMotion]) -> ModeSet:
-  """Returns the baseline without an encoder: n_m = M, one unit a mode."""
+  """Returns a mode set with one-hot latents, the baseline: n_m = M."""
   names = tuple(motion.name for motion in motions)
   latents = np.eye(len(names), dtype=np.float32)
   return ModeSet(tuple(motions), codebook_lib.Codebook(names, latents))

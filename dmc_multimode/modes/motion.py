@@ -1,11 +1,11 @@
-"""Rough reference motions of the base, as their makers give them: keyframes.
+"""Rough reference motions of the trunk, given by keyframes.
 
-A mode is nothing but a few keyframes of the base (and optionally of the feet's
-contacts) over a normalised phase (Krishna and Nguyen, Sec. II-A). Nothing here
-knows about joints, physics or torch; `reference` evaluates motions.
+A mode is a few keyframes of the trunk (the paper's base), and optionally of the
+contacts of the feet, over a normalised phase (Krishna and Nguyen, Sec. II-A),
+without joints or physics; `reference` evaluates motions.
 
 Frames. Keyframes live in the *anchor frame* of a mode command: its origin is
-the point of the support plane under the base at the moment of the command, x
+the point of the support plane under the trunk at the time of the command, x
 points along the commanded heading, z up. Quaternions are (w, x, y, z).
 """
 
@@ -40,21 +40,20 @@ class ReferenceMotion:
   """One clip (a single cycle) of a locomotion mode.
 
   Attributes:
-    name: what users call the mode.
+    name: of the mode.
     kind: 'periodic', 'transient' or 'steady'.
     duration: length of the clip at clock rate 1, in seconds.
     phases: keyframe phases, rising from 0 to 1, shape [K].
-    positions: base positions in the anchor frame, in metres, shape [K, 3].
-    orientations: base orientations in the anchor frame, shape [K, 4].
+    positions: of the trunk in the anchor frame, metres, shape [K, 3].
+    orientations: of the trunk in the anchor frame, shape [K, 4].
     contacts: feet on the ground (1) or not (0), held until the next keyframe,
       shape [K, 2], or None where the mode leaves contacts free.
-    ledge: the ground that the mode needs, or None for level ground.
-    takeoff: phase of the jump that the mode is about, or 0. Episodes do not
-      switch away from the mode before the touch-down that follows.
-    mirror: name of the mode that this one becomes when left and right are
-      exchanged; the mode itself by default.
-    half_cycle_symmetric: true where the reference looks the same half a cycle
-      later, so that its mirror image may run half a cycle out of phase.
+    ledge: ledge that the mode needs, or None for level ground.
+    takeoff: phase of the take-off of a jump, or 0. Episodes do not switch away
+      from the mode before the touch-down that follows.
+    mirror: name of the left-right mirrored mode; the mode itself by default.
+    half_cycle_symmetric: whether the reference is the same half a cycle later,
+      so that its mirror image may run half a cycle out of phase.
   """
 
   name: str
@@ -77,8 +76,8 @@ class ReferenceMotion:
     norms = np.linalg.norm(orientations, axis=-1, keepdims=True)
     if orientations.ndim != 2 or np.any(norms < 1e-6):
       raise ValueError(f'{self.name}: orientations must be non-zero [K, 4].')
-    # Unit quaternions stay bit for bit what they are, so that a motion that is
-    # written to a file and read again is the same motion.
+    # Unit quaternions stay the same to the bit, so that a motion survives
+    # writing and reading.
     norms[np.abs(norms - 1.0) < 1e-12] = 1.0
     object.__setattr__(self, 'orientations', orientations / norms)
     if self.contacts is not None:
@@ -87,7 +86,7 @@ class ReferenceMotion:
     self._validate()
 
   def _validate(self) -> None:
-    """Raises ValueError with one line that says what is wrong."""
+    """Raises ValueError with one line for an invalid motion."""
     k = len(self.phases)
     shapes = {'positions': (k, 3), 'orientations': (k, 4)}
     if self.contacts is not None:

@@ -20,13 +20,13 @@ _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
 class Reference(NamedTuple):
-  """Desired base pose and contacts; all arrays have a leading batch axis.
+  """Desired trunk pose and contacts; all arrays have a leading batch axis.
 
   Attributes:
     position: metres, [B, 3].
     orientation: unit quaternions, [B, 4].
     contact: desired feet contacts, [B, 2]; zero where the mode has none.
-    has_contact: true where the mode prescribes contacts, [B].
+    has_contact: whether the mode prescribes contacts, [B].
   """
 
   position: np.ndarray
@@ -56,10 +56,10 @@ class ReferenceBank:
     )
 
   def _stack_keyframes(self) -> None:
-    """Makes one table of all keyframes, with as many rows for each motion.
+    """Builds one table of all keyframes, with equal rows for each motion.
 
-    A row that a motion does not need repeats its last keyframe, at a phase that
-    is never reached. All tables but `_inner_phases` have a row a keyframe.
+    Spare rows repeat a motion's last keyframe, at an unreachable phase. All
+    tables but `_inner_phases` have one row a keyframe.
     """
     num, width = len(self.motions), max(len(m.phases) for m in self.motions)
     phases = np.full((num, width), np.inf)
@@ -76,7 +76,7 @@ class ReferenceBank:
         contacts[i, :k] = motion.contacts
     self._width = width
     self._phases = phases.ravel()
-    # By keyframe, then by motion: what is summed lies together.
+    # By keyframe, then by motion: sums run over contiguous rows.
     self._inner_phases = np.ascontiguousarray(phases[:, 1:-1].T)
     self._positions = positions.reshape(-1, 3)
     self._orientations = orientations.reshape(-1, 4)
@@ -92,7 +92,7 @@ class ReferenceBank:
     start = _rotation(orientations[:, :-1].reshape(-1, 4))
     end = _rotation(orientations[:, 1:].reshape(-1, 4))
     # Rotation vector from each keyframe to the next: slerp is its scaling.
-    turns = np.zeros((num, width, 3))  # Nothing follows the last ones.
+    turns = np.zeros((num, width, 3))  # The last keyframes have no successor.
     turns[:, :-1] = (start.inv() * end).as_rotvec().reshape(num, width - 1, 3)
     self._turns = turns.reshape(-1, 3)
     self._turning = turns.any(axis=(1, 2))
@@ -109,12 +109,15 @@ class ReferenceBank:
   def grounded(
     self, modes: np.ndarray, phases: np.ndarray, push_off: float = 0.0
   ) -> np.ndarray:
-    """Returns phases, or those of the touch-down that ends a flight, [B].
+    """Postpones phases in a flight to its touch-down, [B].
+
+    Phases at most `push_off` seconds before a take-off are postponed likewise;
+    others are returned unchanged.
 
     Args:
       modes: mode indices, [B].
       phases: phases in [0, 1], [B].
-      push_off: seconds before its take-off from which a flight counts.
+      push_off: seconds before a take-off that count as its flight.
     """
     keyframe, _ = self._locate(modes, phases)
     flight = self._flights[keyframe]
@@ -155,8 +158,8 @@ class ReferenceBank:
   def _locate(
     self, modes: np.ndarray, phases: np.ndarray
   ) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the last keyframes, [B], and how far on to the next, [B, 1]."""
-    # `take` is several times as fast as to index by mode and keyframe.
+    """Returns last keyframes, [B], and the weights of the next, [B, 1]."""
+    # `take` is several times as fast as indexing by mode and keyframe.
     passed = phases >= self._inner_phases.take(modes, axis=1)
     keyframe = modes * self._width + passed.sum(axis=0)
     t0, t1 = self._phases.take(keyframe), self._phases.take(keyframe + 1)
@@ -170,7 +173,7 @@ class ReferenceBank:
     self, modes: np.ndarray, keyframe: np.ndarray, weight: np.ndarray
   ) -> np.ndarray:
     orientation = self._orientations.take(keyframe, axis=0)
-    # Few modes turn at all, and the products cost more than all the rest.
+    # Few modes turn, and the quaternion products are the costliest part.
     rows = np.flatnonzero(self._turning.take(modes))
     if len(rows):
       turn = _rotation_from_vector(weight[rows] * self._turns[keyframe[rows]])
@@ -181,7 +184,7 @@ class ReferenceBank:
   def velocity(
     self, modes: np.ndarray, phases: np.ndarray, step: float = 1e-3
   ) -> np.ndarray:
-    """Returns base velocities at clock rate 1 by central difference.
+    """Returns trunk velocities at clock rate 1 by central difference.
 
     Args:
       modes: mode indices, [B].
@@ -198,13 +201,12 @@ class ReferenceBank:
     return moved / ((after - before) * self.durations[modes])[:, None]
 
   def start_velocity(self, modes: np.ndarray, phases: np.ndarray) -> np.ndarray:
-    """Returns base velocities with which a body can follow the reference.
+    """Returns trunk velocities that a body can follow the reference with.
 
-    Keyframes are joined by straight lines, along which nothing falls: a body
-    that left one at the line's velocity would land short. In flight this is
-    therefore the velocity that gravity turns into the next touch-down; on the
-    ground it changes linearly from keyframe to keyframe, up to that of a
-    take-off.
+    Positions are interpolated linearly, without gravity: a body that took off
+      with the slope as velocity would land short. In flight this is therefore
+      the velocity of the ballistic path to the next touch-down; on the ground
+      it is linear between keyframes, up to the take-off velocity.
 
     Args:
       modes: mode indices, [B].
@@ -225,16 +227,16 @@ class ReferenceBank:
   def swing_timing(
     self, modes: np.ndarray, phases: np.ndarray
   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns how far the swing of a foot has come, at clock rate 1.
+    """Returns the swinging foot, and time and duration of its swing.
 
     Args:
       modes: mode indices, [B].
       phases: phases in [0, 1], [B].
 
     Returns:
-      Which foot (left, right) swings while the other stands, bool [B, 2]; the
-      time since the middle of that swing, seconds, [B]; its duration, seconds,
-      [B].
+      Mask of the foot (left, right) that swings while the other stands, [B, 2];
+      time since the middle of the swing at clock rate 1, seconds, [B]; its
+      duration, seconds, [B].
     """
     keyframe, _ = self._locate(modes, phases)
     contact = self._contacts[keyframe]
@@ -250,12 +252,12 @@ class ReferenceBank:
   def _ballistic_velocity(
     self, modes: np.ndarray, phases: np.ndarray, landings: np.ndarray
   ) -> np.ndarray:
-    """Returns velocities, m/s, [B, 3], that end in references at `landings`.
+    """Returns ballistic velocities to references at `landings`, m/s, [B, 3].
 
     With g = 9.81 m/s^2 along -z and the time t until the landing,
     v = (p(landing) - p(now)) / t + g t / 2.
     """
-    # A moment before touch-down there is hardly anything left to divide.
+    # Just before touch-down t would be too small a divisor.
     least = _LEAST_FLIGHT / self.durations[modes]
     start = np.clip(landings - least, 0.0, phases)
     span = np.maximum(landings - start, least)
@@ -274,7 +276,7 @@ class ReferenceBank:
 
 
 def _contact_spans(phases: np.ndarray, contacts: np.ndarray) -> np.ndarray:
-  """Returns phases from and to which keyframes' contacts last, [2, M, K]."""
+  """Returns start and end phases of keyframes' contacts, [2, M, K]."""
   width = phases.shape[1]
   phases = np.minimum(phases, 1.0)
   spans = np.stack([phases, np.roll(phases, -1, axis=1)])
@@ -297,10 +299,10 @@ def _next_touch_downs(phases: np.ndarray, contacts: np.ndarray) -> np.ndarray:
 
 
 def _next_flights(airborne: np.ndarray) -> np.ndarray:
-  """Returns the flight that each keyframe is in, or that follows it, [M, K].
+  """Returns the current or next flight of each keyframe, [M, K].
 
-  By its keyframe, as a row of a table of all keyframes; the motion's last one
-  where no flight follows.
+  A flight is given by the row of its keyframe in the table of all; it is the
+  motion's last keyframe if no flight follows.
   """
   num, width = airborne.shape
   flights = np.where(airborne, np.arange(width), width - 1)
@@ -309,7 +311,7 @@ def _next_flights(airborne: np.ndarray) -> np.ndarray:
 
 
 def _rotation(quaternions: np.ndarray) -> 'transform.Rotation':
-  from scipy.spatial import transform  # Late: it loads as long as numpy.
+  from scipy.spatial import transform  # Late: scipy imports slowly.
 
   return transform.Rotation.from_quat(quaternions, scalar_first=True)
 

@@ -1,4 +1,4 @@
-"""Mode schedules: which mode is commanded when, and how fast its clock runs.
+"""Mode schedules: commanded modes, their times and clock rates.
 
 One type serves training (an initial mode, a switch time, a final mode),
 planning (a mode a knot) and people (names with durations). A schedule refers to
@@ -14,7 +14,7 @@ from dmc_multimode.modes import mode_set as mode_set_lib
 
 CLIPS = (0, 1)  # Algorithm 1: clip_s ~ U{0, 1}.
 SWITCH_PHASES = (0.25, 0.5, 0.75)  # Algorithm 1: phi_s ~ U{.25, .5, .75}.
-# How long before its take-off a robot is past stopping, seconds.
+# Seconds before a take-off in which a robot cannot stop.
 PUSH_OFF = 0.15
 
 
@@ -79,19 +79,17 @@ def transitions(
 
       t_s = (clip_s + phi_s) T_i,  clip_s ~ U{0, 1}, phi_s ~ U{.25, .5, .75}
 
-  (Krishna and Nguyen, Algorithm 1), but a robot in flight
-  cannot obey: it goes on to where it lands, which the next reference has left
-  by then, or where the block of a launch stands. Nor can one that pushes off,
-  in the last `PUSH_OFF` before its take-off. So a command waits for the
-  touch-down, and for the end of a mode with a take-off: there is no turning
-  back in mid-crouch, nor at the moment of a landing.
+  (Krishna and Nguyen, Algorithm 1). A robot cannot follow a new command in
+  flight, nor while it pushes off, in the last `PUSH_OFF` seconds before a
+  take-off. Therefore such a command is postponed to the touch-down and, in a
+  mode with a take-off, to the end of the mode.
 
   Args:
     mode_set: the modes.
     initial, final: mode indices, [B].
     clips, phases: clip_s and phi_s, [B].
-    commands_from_ground: without, commands come in flight, too, and a mode with
-      a take-off is left from its touch-down on.
+    commands_from_ground: if false, commands are not postponed, except that a
+      mode with a take-off is not left before its touch-down.
   """
   bank = mode_set.bank
   cycles, earliest = clips + phases, bank.touchdowns[initial]
@@ -135,7 +133,7 @@ def from_names(
 
 
 def parse(text: str) -> tuple[list[str], list[float]]:
-  """Parses 'walk_forward:2,leap_forward:3' into names and seconds.
+  """Parses 'walk_forward:2,leap_forward:3' to mode names and seconds.
 
   Raises:
     ValueError: with one line that quotes the faulty item.

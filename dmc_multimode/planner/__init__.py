@@ -1,6 +1,7 @@
-"""Planning over modes (Krishna and Nguyen, Sec. II-E): when to command which.
+"""Planning over modes (Krishna and Nguyen, Sec. II-E).
 
-One call finds a plan, and its file holds it:
+One call finds a plan; `solve` is in `replanning`, an open loop being the case
+of replanning never:
 
     result = planner.solve('pi2', arena='gap', seed=0)
     result.save('plan.json')

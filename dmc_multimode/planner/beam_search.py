@@ -1,4 +1,4 @@
-"""Beam search over modes, with the worlds' states saved at the knots."""
+"""Beam search over modes that copies the worlds' states at the knots."""
 
 from typing import Callable, NamedTuple
 
@@ -8,18 +8,18 @@ from pydantic import dataclasses as pydantic_dataclasses
 from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.utils import config as config_lib
 
-_CELL = 0.15  # Metres: robots closer than this are in the same place.
-_PHASES = 4  # Parts of a mode that are told apart.
+_CELL = 0.15  # Metres: length of a cell along the track.
+_PHASES = 4  # Cells of a mode's phase.
 
 
 class Solution(NamedTuple):
   """Plans that a planner found.
 
   Attributes:
-    plans: the best first, mode indices, [N, K].
-    returns: of these, [N].
-    success: true for those that reached the goal when found, [N].
-    episodes: plans that were tried, or parts of plans.
+    plans: mode indices, best plan first, [N, K].
+    returns: of the plans, [N].
+    success: whether the plans reached the goal in the search, [N].
+    episodes: number of plans, or parts of plans, that were rolled out.
   """
 
   plans: np.ndarray
@@ -33,8 +33,8 @@ class BeamConfig:
   """Parameters of the planner.
 
   Attributes:
-    beams: states that are kept at each knot.
-    attempts: searches until one finds a plan that succeeds, each with twice the
+    beams: number of states kept at each knot.
+    attempts: number of searches until a plan succeeds, each with twice the
       beams of the one before.
   """
 
@@ -42,31 +42,31 @@ class BeamConfig:
   attempts: config_lib.PositiveInt = 3
 
   def escalation(self) -> 'list[BeamConfig]':
-    """Returns the attempts, each a single one."""
+    """Returns one config per attempt, doubling `beams` each time."""
     return [BeamConfig(self.beams << i, 1) for i in range(self.attempts)]
 
 
 class _Front:
-  """Plans that are followed side by side, one a world; W = beams x modes."""
+  """Plans of the search, one a world; W = beams x modes."""
 
   def __init__(self, beams: int, modes: int):
-    """Begins with empty plans, each world to command the next mode in turn."""
+    """Starts with empty plans; world i commands mode i modulo modes."""
     self._beams, self._modes = beams, modes
     self.commands = np.tile(np.arange(modes), beams)  # [W]
     self._parents = np.arange(beams * modes)
     self._plans = np.zeros((beams * modes, 0), dtype=np.int64)
     self.returns = np.zeros(beams * modes)
-    # All begin alike: at first only one beam is worth following.
+    # All worlds begin alike: at first only one beam counts.
     self.distinct = np.arange(beams * modes) < modes
 
   def extend(self, reward: np.ndarray) -> None:
-    """Adds what was commanded, and what it earned, [W], to the plans."""
+    """Appends the commanded modes and adds their rewards, [W]."""
     grown = self._plans[self._parents], self.commands[:, None]
     self._plans = np.concatenate(grown, axis=1)
     self.returns = self.returns[self._parents] + reward
 
   def branch(self, kept: np.ndarray) -> np.ndarray:
-    """Continues from the worlds `kept`; returns the source of each, [W]."""
+    """Branches the worlds `kept`; returns the source of each world, [W]."""
     self._parents = np.repeat(np.resize(kept, self._beams), self._modes)
     self.distinct = np.arange(len(self.commands)) < len(kept) * self._modes
     return self._parents
@@ -91,18 +91,18 @@ def beam_search(
   config: BeamConfig,
   report: Callable[[int, float, float], None] = lambda *args: None,
 ) -> Solution:
-  """Follows the most promising plans, kept apart by place, mode and phase.
+  """Searches plans, with beams spread over place, mode and phase.
 
-  At each knot every kept state is continued under every mode. What is kept then
-  is the best of each part of each mode in each stretch of the track in turns,
-  so that not all of them stand at one edge, or jump at one moment, and fall
-  together.
+  At each knot every kept state is continued with every mode. The new states
+  fall into cells by place, mode and phase, and the best of every cell are kept
+  in turns, so that the beams do not all stand at one edge, or jump at one
+  moment, and fall together.
 
   Args:
     problem: of `config.beams` times the number of modes worlds.
-    config: how many to keep; this is one attempt.
-    report: is told the knot, the best return, and the least distance from the
-      goal along x.
+    config: of one attempt.
+    report: called with the knot, the best return, and the least distance from
+      the goal along x.
 
   Raises:
     ValueError: the problem has another number of worlds.
@@ -139,7 +139,7 @@ def beam_search(
 def _nearest(
   problem: problem_lib.ReachingProblem, progress: problem_lib.Progress
 ) -> float:
-  """Least distance from the goal along x of those that are alive, metres."""
+  """Returns the least distance from the goal along x, metres."""
   ahead = np.abs(problem.config.goal[0] - progress.position[:, 0])
   return float(ahead[progress.alive].min())
 
@@ -147,16 +147,16 @@ def _nearest(
 def _select(
   cells: np.ndarray, returns: np.ndarray, worth: np.ndarray, count: int
 ) -> np.ndarray:
-  """Returns the worlds to go on from, at most `count`.
+  """Returns the worlds to keep, at most `count`.
 
   The best of every cell come first, then the second best of every cell, and so
   on.
 
   Args:
-    cells: what tells the W worlds apart, [D, W].
+    cells: D cell indices of the W worlds, [D, W].
     returns: of their plans so far, [W].
-    worth: which may be gone on from, [W].
-    count: most that are kept.
+    worth: mask of the worlds that may be kept, [W].
+    count: maximum to keep.
   """
   candidates = np.flatnonzero(worth)
   candidates = candidates[np.argsort(-returns[candidates], kind='stable')]

@@ -18,13 +18,13 @@ from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.utils import files
 
-_MAX_BYTES = 1 << 20  # Larger files are no plans.
+_MAX_BYTES = 1 << 20  # Larger files are rejected.
 _MAX_KNOTS = 10_000
 
 
 @dataclasses.dataclass(frozen=True)
 class ModePlan:
-  """Which mode is commanded at which knot.
+  """Modes by knot.
 
   Attributes:
     modes: names, one a knot.
@@ -56,10 +56,10 @@ class ModePlan:
     return len(self.modes) * self.knot_duration
 
   def indices(self, mode_set: mode_set_lib.ModeSet) -> np.ndarray:
-    """Returns the plan in the indices of a mode set, [K].
+    """Returns the modes as indices into a mode set, [K].
 
     Raises:
-      ValueError: the set lacks a mode; the message lists those that it has.
+      ValueError: the set lacks a mode; the message lists its modes.
     """
     missing = [name for name in self.modes if name not in mode_set.names]
     if missing:
@@ -76,7 +76,7 @@ class ModePlan:
     return schedule_lib.from_knots(self.indices(mode_set), self.knot_duration)
 
   def segments(self) -> tuple[list[str], list[float]]:
-    """Returns the modes without repetitions and for how long each runs, s."""
+    """Returns the modes without repetitions and their durations, seconds."""
     names: list[str] = []
     durations: list[float] = []
     for name in self.modes:
@@ -89,13 +89,13 @@ class ModePlan:
 
 
 class Course(NamedTuple):
-  """Conditions that a plan was made for, and what happened on the way.
+  """Conditions of a plan: the track, its seed, and pushes.
 
   Attributes:
     arena: name of the track.
     sizes: of the track, metres, where they are not its defaults.
     seed: of the track, if it is random, and of the initial state's noise.
-    pushes: that the robot met.
+    pushes: met by the robot.
   """
 
   arena: str
@@ -106,13 +106,12 @@ class Course(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class PlanFile:
-  """A plan with its course: reads and writes what is on disk.
+  """A plan with its course, and its JSON file.
 
   Attributes:
-    plan: which mode when.
-    course: the track, and pushes at knots of the plan.
-    details: what else the file tells, JSON-able: where the plan led to, and how
-      it was found.
+    plan: modes by knot.
+    course: track and pushes.
+    details: further JSON values: result and origin of the plan.
   """
 
   plan: ModePlan
@@ -120,7 +119,7 @@ class PlanFile:
   details: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
   def to_dict(self) -> dict[str, Any]:
-    """Returns the JSON-able values of the file."""
+    """Returns the JSON values of the file."""
     return {
       **self.details,
       'plan': list(self.plan.modes),
@@ -134,11 +133,11 @@ class PlanFile:
 
   @classmethod
   def from_dict(cls, values: Any) -> Self:
-    """Returns what `to_dict` was called of.
+    """Returns the `PlanFile` of a `to_dict`.
 
     Raises:
-      ValueError: a value is missing or of the wrong kind, the number of knots
-        is not that of the modes, or a push is not at one of them.
+      ValueError: a value is missing or of the wrong type, the number of knots
+        is not that of the modes, or a push is not at a knot.
     """
     plan = _read_plan(values)
     course = _read_course(values)
@@ -148,7 +147,7 @@ class PlanFile:
     return cls(plan, course, rest)
 
   def write(self, path: str | os.PathLike[str]) -> None:
-    """Writes the file, whole or not at all; missing folders are made."""
+    """Writes the file atomically; missing folders are made."""
     path = pathlib.Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     files.write_json(path, self.to_dict())
@@ -158,8 +157,8 @@ class PlanFile:
     """Reads a file.
 
     Raises:
-      FileNotFoundError: there is none.
-      ValueError: it holds no plan and its course.
+      FileNotFoundError: the file does not exist.
+      ValueError: the file does not hold a plan with its course.
     """
     path = pathlib.Path(path)
     if not path.is_file():
@@ -173,19 +172,19 @@ class PlanFile:
 
 @dataclasses.dataclass(frozen=True)
 class PlanResult:
-  """A plan and what it led to, by itself in one world.
+  """A plan and its replay in a single separate world.
 
   Attributes:
-    plan: the best plan that was found, or what was commanded on the way.
-    course: what it was made for.
+    plan: the best plan found or, with replanning, the modes commanded.
+    course: conditions of the plan.
     goal: of the trunk, world metres, [3].
-    success: true where the robot ends at the goal and never fell.
+    success: whether the robot ends at the goal without a fall.
     episode_return: sum of exp(-|goal - p|) over the control steps.
     path: of the trunk after every control step, world metres, [T, 3].
     solve_seconds: from the first roll-out to the last.
-    rollouts: plans that the searches tried; a beam search tries its parts.
-    control_steps: of all worlds that were searched in or tried in, together.
-    origin: how it was found, JSON-able: planner, policy and the like.
+    rollouts: number of plans, or parts of plans, that were rolled out.
+    control_steps: sum over all worlds of searches and replays.
+    origin: planner, policy and the like, JSON values.
   """
 
   plan: ModePlan
@@ -201,11 +200,11 @@ class PlanResult:
 
   @property
   def final_position(self) -> np.ndarray:
-    """Of the trunk, world metres, [3]."""
+    """Last position of the trunk, world metres, [3]."""
     return self.path[-1]
 
   def file(self) -> PlanFile:
-    """Returns the values that are written to disk."""
+    """Returns the plan as a file, with results as details."""
     details = {
       'success': self.success,
       'final_position': self.final_position.tolist(),
@@ -233,7 +232,7 @@ def from_indices(
 
 
 def _read_plan(values: Any) -> ModePlan:
-  """Returns the plan that the content of a file tells."""
+  """Returns the plan of a file's content."""
   try:
     modes, knots, dt = values['plan'], values['knots'], values['dt']
   except (KeyError, TypeError) as error:
@@ -244,7 +243,7 @@ def _read_plan(values: Any) -> ModePlan:
     raise ValueError(f'Not a plan: dt is {reprlib.repr(dt)}, not seconds.')
   try:
     plan = ModePlan(tuple(modes), float(dt))
-  except OverflowError as error:  # An integer of hundreds of digits.
+  except OverflowError as error:  # An integer too large for a float.
     raise ValueError(f'Not a plan: {error}.') from error
   if knots != len(modes):
     raise ValueError(
@@ -254,7 +253,7 @@ def _read_plan(values: Any) -> ModePlan:
 
 
 def _read_course(values: Mapping[str, Any]) -> Course:
-  """Returns what the content of a file tells about track and pushes."""
+  """Returns the track and pushes of a file's content."""
   arena, sizes, seed = (values.get(key) for key in ('arena', 'sizes', 'seed'))
   if (
     not isinstance(arena, str)

@@ -1,9 +1,9 @@
 """Reaching a place by mode commands alone (Sec. II-E), in many worlds at once.
 
 All worlds of a problem begin in the same state. A planner runs them from knot
-to knot, each under a mode of its own, and may let worlds go on from where
-others are. The policy is the only one who sees the robot: a plan is open-loop.
-Robots that have fallen lie where they fell.
+to knot, each with its own mode, and may copy states between worlds. Only the
+policy observes the robot: a plan is open-loop. Robots that have fallen are not
+moved any more.
 """
 
 from typing import NamedTuple, Sequence
@@ -19,7 +19,7 @@ from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import episodes
 from dmc_multimode.suite.reaching import problem as reaching
 
-_BLOCK = 16  # Observations that the policy sees at once are a multiple.
+_BLOCK = 16  # Batch sizes of the policy are multiples of this.
 
 
 class Progress(NamedTuple):
@@ -29,8 +29,8 @@ class Progress(NamedTuple):
     reward: of the knot, sum of exp(-|goal - p|) over its control steps, zero
       after a fall, [B].
     path: of the trunk in the world after each control step, metres, [S, B, 3].
-    alive: true while the robot has never fallen, [B].
-    reached: true where it stands at the goal, upright, [B].
+    alive: whether the robot has never fallen, [B].
+    reached: whether it is upright at the goal, [B].
   """
 
   reward: np.ndarray
@@ -40,18 +40,18 @@ class Progress(NamedTuple):
 
   @property
   def position(self) -> np.ndarray:
-    """Of the trunk in the world at the end of the knot, metres, [B, 3]."""
+    """Trunk positions at the end of the knot, world metres, [B, 3]."""
     return self.path[-1]
 
 
 class Trials(NamedTuple):
-  """Whole plans in N worlds.
+  """Results of whole plans in N worlds.
 
   Attributes:
     returns: sums of the knots' rewards, [N].
-    position: of the trunk in the end, metres, [N, 3].
-    alive: true where the robot never fell, [N].
-    success: true where the goal is reached in the end without a fall, [N].
+    position: last position of the trunk, metres, [N, 3].
+    alive: whether the robot never fell, [N].
+    success: whether it ends at the goal without a fall, [N].
     paths: of the trunk after every control step, metres, [N, T, 3].
   """
 
@@ -63,7 +63,7 @@ class Trials(NamedTuple):
 
 
 def trials(knots: Sequence[Progress]) -> Trials:
-  """Returns what knots, one after another, amount to."""
+  """Returns the results of consecutive knots."""
   return Trials(
     np.sum([knot.reward for knot in knots], axis=0),
     knots[-1].position,
@@ -78,8 +78,8 @@ class _Start(NamedTuple):
 
   Attributes:
     worlds: their state.
-    knot: of the whole plan.
-    alive: true while a robot has never fallen, [B].
+    knot: index of the knot in the whole plan.
+    alive: whether each robot has never fallen, [B].
   """
 
   worlds: dict[str, np.ndarray]
@@ -88,7 +88,7 @@ class _Start(NamedTuple):
 
 
 class ReachingProblem:
-  """B worlds on one track that all begin alike."""
+  """B worlds on one track with the same initial state."""
 
   def __init__(
     self,
@@ -107,10 +107,10 @@ class ReachingProblem:
       config: goal and knots.
       num_worlds: B.
       num_threads: of the physics; 0 takes every core.
-      pushes: that all robots meet, at knots, right after the mode is chosen.
+      pushes: applied to all robots at knots, after the mode is chosen.
 
     Raises:
-      ValueError: a knot is no whole number of control steps, the goal is not
+      ValueError: a knot is not a whole number of control steps, the goal is not
         over the track, or a push is not at a knot.
     """
     self.policy, self.config = policy, config
@@ -142,7 +142,7 @@ class ReachingProblem:
 
   @property
   def terrain(self) -> terrain_lib.Terrain:
-    """Of the first world, a batch of one; all have the same."""
+    """Terrain of all worlds, a batch of one."""
     return self._worlds.core.terrain.rows(np.array([0]))
 
   @property
@@ -152,32 +152,32 @@ class ReachingProblem:
 
   @property
   def knots(self) -> int:
-    """Of a plan from the start that `reset` returns to."""
+    """Number of knots of a plan from the current start."""
     return self.config.knots - self._start.knot
 
   @property
   def remaining(self) -> int:
-    """Knots that are left from where the worlds are."""
+    """Number of knots that are left."""
     return self.config.knots - self._knot
 
   @property
   def alive(self) -> np.ndarray:
-    """Robots that have never fallen, bool [B]."""
+    """Mask of the robots that have never fallen, [B]."""
     return self._alive.copy()
 
   @property
   def phase(self) -> np.ndarray:
-    """Phase of each running mode, in [0, 1], [B]."""
+    """Phases of the running modes, in [0, 1], [B]."""
     return self._worlds.core.tracker.state.phase.copy()
 
   def begin_at(self, other: 'ReachingProblem') -> None:
-    """Begins, now and after each `reset`, where another problem is.
+    """Makes the state of another problem the start of this one.
 
     Args:
-      other: on the same track, with the same knots; its first world counts.
+      other: on the same track, with the same knots; its first world is used.
 
     Raises:
-      ValueError: it is of another task.
+      ValueError: the other problem has another task.
     """
     self._worlds.copy_state(
       np.zeros(self._worlds.num_worlds, dtype=np.int64), other._worlds
@@ -187,7 +187,7 @@ class ReachingProblem:
     self.reset()
 
   def reset(self) -> None:
-    """Puts all worlds back to the start."""
+    """Resets all worlds to the start."""
     self._observation = self._worlds.restore(self._start.worlds)
     self._knot, self._alive = self._start.knot, self._start.alive.copy()
 
@@ -218,10 +218,10 @@ class ReachingProblem:
     return Progress(reward, np.array(path), self._alive.copy(), self._reached())
 
   def _step(self) -> np.ndarray:
-    """Makes a control step; returns the positions of the trunks, [B, 3].
+    """Advances by a control step; returns trunk positions, metres, [B, 3].
 
-    A robot that falls stays where it is: it would tumble on until its state is
-    no longer finite. One whose state is so at once stays where it was.
+    Robots are held where they fall: tumbling on, their states would diverge. A
+      robot that diverges at once keeps its last position.
     """
     if self._alive.any():
       state = self._worlds.physics.state
@@ -236,7 +236,7 @@ class ReachingProblem:
     return self._worlds.qpos[:, :3].copy()
 
   def rollout(self, plans: np.ndarray) -> Trials:
-    """Runs whole plans from the start, as many as there are worlds.
+    """Runs whole plans from the start, one a world.
 
     Args:
       plans: mode indices, [B, K].
@@ -245,9 +245,10 @@ class ReachingProblem:
     return trials([self.run_knot(modes) for modes in np.asarray(plans).T])
 
   def _act(self) -> np.ndarray:
-    """Acts with batches of one size, so that a world's action is its own.
+    """Returns the policy's actions, [B, 10].
 
-    A single world acts as one in a Composer environment does.
+    Batches are padded to one size, so that an action does not depend on the
+    number of worlds. A single world acts as in a Composer environment.
     """
     seen = self._observation
     if len(seen) == 1:
@@ -261,7 +262,7 @@ class ReachingProblem:
     return np.concatenate(actions)[: len(seen)]
 
   def _reached(self) -> np.ndarray:
-    """Returns robots that stand at the goal and never fell, bool [B]."""
+    """Returns the mask of robots at the goal that never fell, [B]."""
     there = reaching.reached(
       self._worlds.qpos, self._worlds.core.terrain, self._goal
     )

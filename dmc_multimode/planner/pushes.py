@@ -1,4 +1,4 @@
-"""Pushes that a robot meets on its way, and that no planner knows of."""
+"""Pushes on the way of a robot, unknown to the planner."""
 
 import dataclasses
 import math
@@ -17,7 +17,7 @@ class Push:
 
   Attributes:
     time: seconds since the start.
-    velocity: what is added to the trunk's, world m/s (x, y, z).
+    velocity: added to the trunk's, world m/s (x, y, z).
   """
 
   time: float
@@ -53,17 +53,17 @@ def parse(text: str) -> Push:
 
 
 def to_list(pushes: Sequence[Push]) -> list[dict[str, Any]]:
-  """Returns the pushes as JSON-able values."""
+  """Returns the pushes as JSON values."""
   return [
     {'time': push.time, 'velocity': list(push.velocity)} for push in pushes
   ]
 
 
 def from_list(values: Any) -> tuple[Push, ...]:
-  """Returns what `to_list` was given.
+  """Returns the pushes of a `to_list`.
 
   Raises:
-    ValueError: a value is missing or of the wrong kind.
+    ValueError: a value is missing or of the wrong type.
   """
   try:
     return tuple(
@@ -76,11 +76,11 @@ def from_list(values: Any) -> tuple[Push, ...]:
 def by_knot(
   pushes: Sequence[Push], knots: int, knot_duration: float
 ) -> dict[int, np.ndarray]:
-  """Returns the velocities that are added at the knots, m/s, each [3].
+  """Returns the velocities to add by knot, world m/s, each [3].
 
   Args:
     pushes: in any order; those of one knot add up.
-    knots: of the plan in which they happen.
+    knots: number of knots in the plan.
     knot_duration: seconds from knot to knot.
 
   Raises:
@@ -89,7 +89,7 @@ def by_knot(
   found: dict[int, np.ndarray] = {}
   for push in pushes:
     ratio = push.time / knot_duration
-    is_finite = math.isfinite(ratio)  # Knots may be next to no seconds long.
+    is_finite = math.isfinite(ratio)  # Knots may be very short.
     knot = round(ratio) if is_finite else knots
     if is_finite and abs(knot * knot_duration - push.time) > _TOLERANCE:
       raise ValueError(

@@ -1,8 +1,8 @@
 """Tabular Q-learning over knots, the paper's planner (Sec. II-E).
 
 The state is the index of a knot, the action the mode that is commanded there.
-What the robot does is no part of the state, so that the values of later knots
-are means over whatever came before them.
+The robot is not part of the state, so that values of later knots are means over
+different histories.
 """
 
 from typing import Annotated, Callable
@@ -21,17 +21,16 @@ class QLearningConfig:
   """Parameters of the planner.
 
   Attributes:
-    trials: independent ones, side by side; the best plan of all counts.
-    episodes: of each trial.
+    trials: number of independent trials in parallel; the best plan counts.
+    episodes: number of episodes of each trial.
     learning_rate: alpha, in (0, 1].
     discount: gamma from knot to knot, in [0, 1].
-    initial_epsilon, final_epsilon: how often a knot that would be greedy begins
-      a random mode instead, in the first and in the last episode; it falls
-      linearly.
-    exploration_time: mean time for which a random mode then lasts, seconds, in
-      whole knots (temporally extended epsilon-greedy, Dabney et al. 2021); 0
-      for one knot, which is plain epsilon-greedy. Jumps take longer than a
-      knot, and are hardly ever tried by chance where each knot draws anew.
+    initial_epsilon, final_epsilon: probability that a knot begins a random
+      mode, in the first and in the last episode, linear between.
+    exploration_time: mean duration of a random mode, seconds, in whole knots
+      (temporally extended epsilon-greedy, Dabney et al. 2021); 0 for one knot,
+      plain epsilon-greedy. Jumps take longer than a knot, and independent draws
+      at each knot hardly ever try them.
   """
 
   trials: config_lib.PositiveInt = 5
@@ -43,7 +42,7 @@ class QLearningConfig:
   exploration_time: config_lib.NonNegative = 0.6
 
   def epsilon(self, episode: int) -> float:
-    """Share of random modes in an episode, counted from 0."""
+    """Returns epsilon in an episode, counted from 0."""
     share = episode / max(self.episodes - 1, 1)
     return self.initial_epsilon + share * (
       self.final_epsilon - self.initial_epsilon
@@ -61,7 +60,7 @@ class QTables:
     config: QLearningConfig,
     knot_duration: float = 1.0,
   ):
-    """Starts with zeros, [T, K, M].
+    """Initialises the tables with zeros, [T, K, M].
 
     Args:
       trials, knots, modes: T, K and M.
@@ -93,10 +92,10 @@ class QTables:
     return np.where(self._exploring, self._explored, greedy)
 
   def update(self, plans: np.ndarray, rewards: np.ndarray) -> None:
-    """Learns from one episode of each trial, the last knot first.
+    """Updates the tables by one episode of each trial, last knot first.
 
     Args:
-      plans: the modes that were commanded, [T, K].
+      plans: commanded modes, [T, K].
       rewards: of the knots, [T, K].
     """
     config, rows = self._config, np.arange(len(plans))
@@ -113,13 +112,13 @@ def q_learning(
   config: QLearningConfig,
   report: Callable[[int, float, float], None] = lambda *args: None,
 ) -> beam_search.Solution:
-  """Learns plans; returns those of all episodes, the best first.
+  """Returns the plans of all episodes, best first.
 
   Args:
     problem: of as many worlds as trials.
     config: of the planner.
-    report: is told the number of episodes, the best return, and the least
-      distance from the goal along x at an end.
+    report: called with the number of episodes, the best return, and the least
+      final distance from the goal along x.
 
   Raises:
     ValueError: the problem has another number of worlds.

@@ -1,9 +1,8 @@
-"""Planning again on the way, from where the robot is: a receding horizon.
+"""Receding-horizon planning, from the current state of the robot.
 
-A planner knows the robot's state at the knot at which it plans, and nothing of
-what pushes it later. It plans to the end, the robot follows for some knots, and
-it plans again. As long as the rest of the former plan still succeeds by itself,
-it is kept: then nothing unexpected has happened.
+The planner knows the robot's state at the knot of planning, but not the pushes
+that follow. It plans to the end, the robot follows for some knots, and it plans
+again. If the rest of the former plan still succeeds in simulation, it is kept.
 """
 
 import contextlib
@@ -18,7 +17,7 @@ from dmc_multimode.arenas import track
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.planner import pushes as pushes_lib
-from dmc_multimode.planner import solver as planning
+from dmc_multimode.planner import solver as solver_lib
 from dmc_multimode.suite.reaching import environment as reaching_env
 from dmc_multimode.suite.reaching import problem as reaching
 
@@ -29,51 +28,51 @@ def solve(
   seed: int = 0,
   problem: reaching.ReachingConfig | None = None,
   sizes: Mapping[str, float] | None = None,
-  planner: str | planning.PlannerConfig = 'beam',
+  planner: str | solver_lib.PlannerConfig = 'beam',
   pushes: Sequence[pushes_lib.Push] = (),
   replan_every: int = 0,
   num_threads: int = 0,
   quiet: bool = False,
 ) -> plan_lib.PlanResult:
-  """Plans a way across a track, and maybe again on the way.
+  """Plans across a track, once or, with `replan_every`, again on the way.
 
   Args:
-    policy: name of a shipped one, a folder, or what acts like one.
+    policy: name of a shipped policy, a folder, or a policy object.
     arena: name of the track.
     seed: of the track, if it is random, and of the initial state's noise.
     problem: goal, knots and seed; by default those of the track, and `seed`.
     sizes: of the track, metres, where they are not its defaults.
     planner: a name from `solver.PLANNERS`, or a configuration.
-    pushes: that the robot meets and no planner knows of, at knots.
+    pushes: on the robot, at knots; unknown to the planner.
     replan_every: knots after which to plan again; 0 for never, an open loop.
     num_threads: of the physics; 0 takes every core.
     quiet: hides the progress bar.
 
   Returns:
-    The best plan, whether it succeeds or not.
+    The best plan found, successful or not.
 
   Raises:
-    FileNotFoundError, TypeError: that is no policy.
+    FileNotFoundError, TypeError: `policy` is not a policy.
     ValueError: the track, a size or the planner is unknown, the goal is not
-      over the track, a knot is no whole number of control steps, or a push is
-      not at a knot.
+      over the track, a knot is not a whole number of control steps, or a push
+      is not at a knot.
   """
-  import torch  # Late: a plan's file is read without it.
+  import torch  # Late: reading a plan's file needs no torch.
 
   if isinstance(planner, str):
-    if planner not in planning.PLANNERS:
+    if planner not in solver_lib.PLANNERS:
       raise ValueError(
         f'Unknown planner {planner!r}; there are '
-        f'{", ".join(planning.PLANNERS)}.'
+        f'{", ".join(solver_lib.PLANNERS)}.'
       )
-    planner = planning.PLANNERS[planner]
+    planner = solver_lib.PLANNERS[planner]
   _check_replanning(replan_every)
   terrain = track.make(arena, sizes=sizes).generate(np.random.RandomState(seed))
   problem = problem or reaching.problem(arena, terrain, seed)
   pushes_lib.by_knot(pushes, problem.knots, problem.knot_duration)
   origin: dict[str, Any] = {
     'replan_every': replan_every,
-    'planner': planning.name_of(planner),
+    'planner': solver_lib.name_of(planner),
   }
   if isinstance(policy, (str, os.PathLike)):
     origin['policy'] = os.fspath(policy)
@@ -82,7 +81,7 @@ def solve(
   threads = torch.get_num_threads()
   torch.set_num_threads(1)
   try:
-    solver = planning.Solver(
+    solver = solver_lib.Solver(
       policy, arena, problem, planner, num_threads, sizes
     )
     with _progress(planner, quiet) as report:
@@ -94,13 +93,13 @@ def solve(
 
 @contextlib.contextmanager
 def _progress(
-  planner: planning.PlannerConfig, quiet: bool
-) -> Iterator[planning.Report]:
-  """Yields what moves a progress bar, which begins anew with every search."""
-  unit = 'knot' if planning.name_of(planner) == 'beam' else 'episode'
+  planner: solver_lib.PlannerConfig, quiet: bool
+) -> Iterator[solver_lib.Report]:
+  """Yields a `Report` that shows a progress bar, reset for every search."""
+  unit = 'knot' if solver_lib.name_of(planner) == 'beam' else 'episode'
   with tqdm.tqdm(unit=unit, disable=quiet) as bar:
 
-    def report(status: planning.Status) -> None:
+    def report(status: solver_lib.Status) -> None:
       if status.done <= bar.n:
         bar.reset()
       bar.total = status.total
@@ -115,28 +114,28 @@ def _progress(
 
 
 def _check_replanning(every: int) -> None:
-  """Raises ValueError unless that is a number of knots, or 0 for never."""
+  """Raises ValueError if `every` is negative."""
   if every < 0:
     raise ValueError(f'replan_every must not be negative, got {every}.')
 
 
 def follow(
-  solver: planning.Solver,
+  solver: solver_lib.Solver,
   pushes: Sequence[pushes_lib.Push] = (),
   every: int = 0,
-  report: planning.Report = lambda status: None,
+  report: solver_lib.Report = lambda status: None,
 ) -> plan_lib.PlanResult:
-  """Brings a robot to the goal; plans before and, maybe, on the way.
+  """Moves a robot to the goal; plans at the start and on the way.
 
   Args:
-    solver: plans.
-    pushes: that the robot meets, each right after the planning at its knot.
-    every: knots after which it plans again; 0 for never, an open loop.
+    solver: planner.
+    pushes: on the robot, each right after the planning at its knot.
+    every: knots between plannings; 0 for an open loop.
     report: progress of the searches.
 
   Returns:
-    The modes that were commanded and where they led to, pushes included; the
-    costs are those of all plannings.
+    The commanded modes and their result, pushes included; the costs are those
+    of all plannings.
 
   Raises:
     ValueError: `every` is negative, or a push is not at a knot.
@@ -149,7 +148,7 @@ def follow(
   plannings: list[plan_lib.PlanResult] = []
   knots: list[problem_lib.Progress] = []
   while robot.remaining:
-    if plan is None or robot.alive[0]:  # Who has fallen goes nowhere.
+    if plan is None or robot.alive[0]:  # After a fall there is nothing to plan.
       plannings.append(solver.solve(report, robot, plan))
       plan = plannings[-1].plan.indices(robot.mode_set)
     now, plan = plan[:every], plan[every:]

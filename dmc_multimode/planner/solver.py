@@ -1,4 +1,4 @@
-"""Finds a plan from a track and a goal: one call for every planner."""
+"""Solver: a planner on a track and goal, with trials of its plans."""
 
 import time
 from typing import Callable, Mapping, NamedTuple, Sequence
@@ -6,29 +6,29 @@ from typing import Callable, Mapping, NamedTuple, Sequence
 import numpy as np
 
 from dmc_multimode.arenas import track as track_lib
-from dmc_multimode.planner import beam_search as search
+from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.planner import q_learning
 from dmc_multimode.suite.reaching import problem as reaching
 
-PlannerConfig = search.BeamConfig | q_learning.QLearningConfig
+PlannerConfig = beam_search.BeamConfig | q_learning.QLearningConfig
 PLANNERS: Mapping[str, PlannerConfig] = {  # By name, with their defaults.
-  'beam': search.BeamConfig(),
+  'beam': beam_search.BeamConfig(),
   'q_learning': q_learning.QLearningConfig(),
 }
-_CANDIDATES = 10  # Plans that are tried alone until one succeeds.
+_CANDIDATES = 10  # Plans tried in one world until one succeeds.
 
 
 class Status(NamedTuple):
   """Progress of a search.
 
   Attributes:
-    search: which one, for people.
+    search: description of the search.
     done, total: knots of a beam search, episodes of a Q-learning.
     best: return of the best plan so far.
-    distance: least distance from the goal along x at an end, metres.
+    distance: least final distance from the goal along x, metres.
   """
 
   search: str
@@ -43,24 +43,24 @@ Report = Callable[[Status], None]
 
 def name_of(config: PlannerConfig) -> str:
   """Returns the planner's name in `PLANNERS`."""
-  return 'beam' if isinstance(config, search.BeamConfig) else 'q_learning'
+  return 'beam' if isinstance(config, beam_search.BeamConfig) else 'q_learning'
 
 
 def num_worlds(config: PlannerConfig, num_modes: int) -> int:
-  """Returns how many worlds a planner runs at once."""
-  if isinstance(config, search.BeamConfig):
+  """Returns the number of worlds of a planner."""
+  if isinstance(config, beam_search.BeamConfig):
     return config.beams * num_modes
   return config.trials
 
 
 class _Tried(NamedTuple):
-  """A plan, mode indices [K], and how it went alone."""
+  """A plan, mode indices [K], and its replay in a single separate world."""
 
   indices: np.ndarray
   trial: problem_lib.Trials
 
   def worth(self) -> tuple[bool, bool, float]:
-    """Sorts by success, then by who stands, then by return."""
+    """Returns the sort key: success, no fall, return."""
     trial = self.trial
     return bool(trial.success[0]), bool(trial.alive[0]), float(trial.returns[0])
 
@@ -83,20 +83,20 @@ class Solver:
       policy: turns mode commands into motion.
       arena: name of the track.
       config: goal and knots.
-      planner: which planner, and how.
+      planner: configuration, whose class selects the planner.
       num_threads: of the physics; 0 takes every core.
       sizes: of the track, metres, where they are not its defaults.
 
     Raises:
-      ValueError: the track is unknown, the goal is not over it, or a knot is no
-        whole number of control steps.
+      ValueError: the track is unknown, the goal is not over it, or a knot is
+        not a whole number of control steps.
     """
     self._policy = policy
     self._course = plan_lib.Course(arena, dict(sizes or {}), config.seed)
     self._config, self._num_threads = config, num_threads
     self._searches = (
       planner.escalation()
-      if isinstance(planner, search.BeamConfig)
+      if isinstance(planner, beam_search.BeamConfig)
       else [planner]
     )
     self._problems: dict[PlannerConfig, problem_lib.ReachingProblem] = {}
@@ -106,10 +106,10 @@ class Solver:
   def make_robot(
     self, pushes: Sequence[pushes_lib.Push] = ()
   ) -> problem_lib.ReachingProblem:
-    """Returns a single world at the start, to carry out plans in.
+    """Returns a single world at the start, for replays of plans.
 
     Args:
-      pushes: that it will meet.
+      pushes: on the robot.
 
     Raises:
       ValueError: a push is not at a knot.
@@ -119,7 +119,7 @@ class Solver:
     )
 
   def _make_arena(self) -> track_lib.Track:
-    """Returns the track anew, for worlds of its own."""
+    """Returns a new instance of the track."""
     return track_lib.make(self._course.arena, sizes=self._course.sizes)
 
   def solve(
@@ -128,14 +128,14 @@ class Solver:
     robot: problem_lib.ReachingProblem | None = None,
     guess: np.ndarray | None = None,
   ) -> plan_lib.PlanResult:
-    """Finds a plan; the best that was found if none succeeds.
+    """Returns the best plan; the search ends when one succeeds.
 
     Args:
       report: progress of the searches.
-      robot: where it is, the plan begins, for the knots that are left; at the
-        start without one. It does not move.
-      guess: a plan for those knots, mode indices, [K]; if it succeeds, it is
-        the one, and nothing is searched.
+      robot: world whose state is the start, with its remaining knots; the start
+        of the track by default. It does not move.
+      guess: a plan for these knots, mode indices, [K]; if it succeeds, it is
+        returned without a search.
     """
     robot = robot or self.make_robot()
     began, steps = time.perf_counter(), self._control_steps()
@@ -165,13 +165,13 @@ class Solver:
     control_steps: int,
     pushes: Sequence[pushes_lib.Push] = (),
   ) -> plan_lib.PlanResult:
-    """Returns what is told of a plan.
+    """Packs a plan and its trial into a `PlanResult`.
 
     Args:
       indices: of the modes, [K].
-      trial: of one world.
+      trial: replay in one world.
       solve_seconds, rollouts, control_steps: see `plan.PlanResult`.
-      pushes: that the robot met.
+      pushes: on the robot.
     """
     return plan_lib.PlanResult(
       plan_lib.from_indices(
@@ -188,7 +188,7 @@ class Solver:
     )
 
   def _problem(self, planner: PlannerConfig) -> problem_lib.ReachingProblem:
-    """Returns the worlds for a planner, compiled when first asked for."""
+    """Returns the worlds of a planner, compiled in the first call."""
     if planner not in self._problems:
       self._problems[planner] = problem_lib.ReachingProblem(
         self._policy,
@@ -200,7 +200,7 @@ class Solver:
     return self._problems[planner]
 
   def _control_steps(self) -> int:
-    """Of all worlds since they were compiled."""
+    """Returns the control steps of all worlds so far."""
     problems = [*self._problems.values(), self._alone]
     return sum(problem.control_steps for problem in problems)
 
@@ -209,24 +209,24 @@ class Solver:
     planner: PlannerConfig,
     robot: problem_lib.ReachingProblem,
     report: Report,
-  ) -> search.Solution:
-    """Runs one search from where the robot is."""
+  ) -> beam_search.Solution:
+    """Runs one search from the robot's state."""
     problem = self._problem(planner)
     problem.begin_at(robot)
     began = (self._config.knots - problem.knots) * self._config.knot_duration
-    if isinstance(planner, search.BeamConfig):
+    if isinstance(planner, beam_search.BeamConfig):
       name, total = f'{planner.beams} beams', problem.knots
     else:
       name, total = f'{planner.trials} trials', planner.episodes
     tell = lambda *row: report(
       Status(f'{name} from {began:.2f} s', row[0], total, *row[1:])
     )
-    if isinstance(planner, search.BeamConfig):
-      return search.beam_search(problem, planner, tell)
+    if isinstance(planner, beam_search.BeamConfig):
+      return beam_search.beam_search(problem, planner, tell)
     return q_learning.q_learning(problem, planner, tell)
 
-  def _try_some(self, solution: search.Solution) -> list[_Tried]:
-    """Tries the best plans alone, until one succeeds."""
+  def _try_some(self, solution: beam_search.Solution) -> list[_Tried]:
+    """Replays the best plans in one world until one succeeds."""
     tried: list[_Tried] = []
     for indices in solution.plans[:_CANDIDATES]:
       tried.append(self._try(indices))
@@ -235,5 +235,5 @@ class Solver:
     return tried
 
   def _try(self, indices: np.ndarray) -> _Tried:
-    """Tries a plan alone."""
+    """Replays a plan in a single separate world."""
     return _Tried(indices, self._alone.rollout(indices[None]))

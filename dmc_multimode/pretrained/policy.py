@@ -1,12 +1,14 @@
-"""A policy on disk: weights, the modes it knows, and the task it was made for.
+"""Policies on disk: weights, modes, and the task of the training.
 
 A policy is a folder of
 
     policy.safetensors  weights and observation normaliser
     policy.json         sizes, mode definitions, latents, task configuration
-    metrics.json        what `evaluate` measured (optional)
+    metrics.json        scores of `evaluate` (optional)
 
-and never a pickle: loading one runs no code.
+and never a pickle: loading runs no code. Shipped folders may also hold
+encoder.json and encoder.safetensors, the mode encoder of the latents (for
+fine-tuning), and training.csv, the log of the training; `load` reads neither.
 """
 
 import dataclasses
@@ -32,7 +34,7 @@ from dmc_multimode.utils import resources
 WEIGHTS_FILE = 'policy.safetensors'
 DESCRIPTION_FILE = 'policy.json'
 METRICS_FILE = 'metrics.json'
-RUN_SUBFOLDER = 'policy'  # Where a training run keeps its policy.
+RUN_SUBFOLDER = 'policy'  # Folder of the policy in a run's folder.
 
 _FORMAT = 'dmc_multimode.policy.1'
 _MAX_UNITS = 4096
@@ -41,15 +43,15 @@ _NUM_ACTIONS = observations.NUM_JOINTS
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Policy:
-  """One latent-conditioned policy and what it needs to be run.
+  """A latent-conditioned policy with its modes and task.
 
   Attributes:
     network: policy, value function and normaliser.
     hidden_sizes: of the network.
-    mode_set: the modes that it was trained on.
-    config: the task that it was trained for.
-    provenance: steps, seed, versions and whatever else tells how it was made.
-    metrics: what `evaluate` wrote, or empty.
+    mode_set: modes of the training.
+    config: task of the training.
+    provenance: steps, seed, versions and configuration of the training.
+    metrics: scores of `evaluate`, or empty.
   """
 
   network: networks.ActorCritic
@@ -61,7 +63,7 @@ class Policy:
 
   @functools.cached_property
   def actor(self) -> acting.FeedForwardActor:
-    """Acts in one dm_env environment, deterministically."""
+    """Returns an actor for one dm_env environment, deterministic."""
     return acting.FeedForwardActor(self.network)
 
   @torch.no_grad()
@@ -70,11 +72,11 @@ class Policy:
     return self.network.act(torch.from_numpy(observations)).numpy()
 
   def save(self, path: str | os.PathLike[str]) -> None:
-    """Writes the policy's files into a folder, each whole or not at all.
+    """Writes the policy's files into a folder, each atomically.
 
     Raises:
       OSError: the folder cannot be written.
-      ValueError: the network is none that `load` could build again.
+      ValueError: `load` could not rebuild the network.
     """
     if type(self.network) is not networks.ActorCritic:
       raise ValueError(
@@ -140,7 +142,7 @@ def load(policy: str | os.PathLike[str]) -> Policy:
 
 
 def _find(policy: str | os.PathLike[str]) -> pathlib.Path:
-  """Returns the folder that holds the policy's files."""
+  """Returns the folder of the policy's files."""
   path = pathlib.Path(policy)
   for candidate in (path, path / RUN_SUBFOLDER):
     if (candidate / DESCRIPTION_FILE).is_file():
@@ -164,7 +166,7 @@ def _read_json(path: pathlib.Path) -> dict[str, Any]:
 
 
 def _untrained(description: dict[str, Any]) -> Policy:
-  """Returns the policy that a description is of, without its weights."""
+  """Builds the policy of a description, without its weights."""
   hidden = tuple(int(size) for size in description['hidden_sizes'])
   if (
     not hidden
@@ -180,7 +182,7 @@ def _untrained(description: dict[str, Any]) -> Policy:
   more = int(description.get('privileged_size', 0))
   if not 0 <= more <= _MAX_UNITS:
     raise ValueError(f'privileged size {more} is out of bounds.')
-  with torch.device('meta'):  # Shapes alone, whatever sizes are asked for.
+  with torch.device('meta'):  # Allocates no memory.
     network = networks.ActorCritic(
       size,
       _NUM_ACTIONS,

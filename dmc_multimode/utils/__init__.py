@@ -1,3 +1,3 @@
-"""What every room may use: files, configurations, schedules, shipped data."""
+"""Utilities of all rooms: files, configurations, schedules, shipped data."""
 
 __all__ = ['config', 'files', 'lazy', 'resources', 'schedule']

@@ -1,7 +1,7 @@
-"""Validated configuration dataclasses, and one line for what is wrong.
+"""Validated configuration dataclasses, with one-line errors.
 
-A configuration is a frozen pydantic dataclass, so that a value is checked where
-it is made, in Python as from a file:
+A configuration is a frozen pydantic dataclass, which checks its values at
+construction, from Python or from a file:
 
     @pydantic_dataclasses.dataclass(frozen=True, config=config.STRICT)
     class PushConfig:
@@ -18,7 +18,7 @@ from pydantic import fields as pydantic_fields
 
 _T = TypeVar('_T')
 
-# Neither a text nor a bool is a number; nothing is added that no field has.
+# No conversions of text or bool to numbers; no unknown fields.
 STRICT = pydantic.ConfigDict(
   strict=True, extra='forbid', allow_inf_nan=False, validate_default=True
 )
@@ -32,7 +32,7 @@ PositiveInt = Annotated[int, _field(gt=0)]
 
 
 def one_of(names: Sequence[str]) -> pydantic.AfterValidator:
-  """Returns what annotates a field that is one of some names."""
+  """Returns the annotation of a field that is one of `names`."""
 
   def check(value: str) -> str:
     if value not in names:
@@ -43,11 +43,11 @@ def one_of(names: Sequence[str]) -> pydantic.AfterValidator:
 
 
 def build(kind: type[_T], values: Any) -> _T:
-  """Returns a configuration of a dataclass from a table of values.
+  """Builds a configuration from a table of values.
 
   Args:
     kind: a pydantic dataclass.
-    values: JSON-able values by field, nested for configurations in it.
+    values: JSON values by field, nested for nested configurations.
 
   Raises:
     ValueError: in one line, a field is unknown or missing, or its value is of
@@ -58,7 +58,7 @@ def build(kind: type[_T], values: Any) -> _T:
       f'{kind.__name__} must be a table, got {type(values).__name__}'
     )
   try:
-    # As JSON, a strict configuration takes tables and lists for its parts.
+    # From JSON, strict mode accepts tables and lists for nested parts.
     text = json.dumps(dict(values))
     return pydantic.TypeAdapter(kind).validate_json(text)
   except pydantic.ValidationError as error:
@@ -68,12 +68,12 @@ def build(kind: type[_T], values: Any) -> _T:
 
 
 def to_dict(config: Any) -> dict[str, Any]:
-  """Returns a configuration as JSON-able values, which `build` reads."""
+  """Returns a configuration as JSON values for `build`."""
   return dataclasses.asdict(config)
 
 
 def describe(error: pydantic.ValidationError) -> str:
-  """Returns what a validation found in one line: fields, problem, value."""
+  """Returns a validation error in one line: fields, problem, value."""
   found = []
   for problem in error.errors(include_url=False):
     place = '.'.join(str(part) for part in problem['loc'])

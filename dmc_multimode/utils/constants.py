@@ -1,4 +1,4 @@
-"""Numbers that more than one room relies on."""
+"""Constants of more than one room."""
 
 GRAVITY = 9.81  # m/s^2
 CONTROL_TIMESTEP = 0.03  # Seconds between the actions of a policy.

@@ -1,4 +1,4 @@
-"""Files that are whole or not there, read with a bound and one-line errors."""
+"""Atomic writing and bounded reading of files, with one-line errors."""
 
 import glob
 import json
@@ -8,11 +8,11 @@ from typing import Any
 
 Path = str | os.PathLike[str]
 
-MAX_BYTES = 64 << 20  # Of what this package writes, checkpoints apart.
+MAX_BYTES = 64 << 20  # Apart from checkpoints.
 
 
 def check_size(path: Path, limit: int = MAX_BYTES) -> None:
-  """Refuses a file too large to be ours, by ValueError; see `read_bounded`."""
+  """Raises ValueError if a file is too large; see `read_bounded`."""
   if os.path.getsize(path) > limit:
     raise ValueError(f'{path} is too large: {limit:,} bytes are the most.')
 
@@ -22,11 +22,11 @@ def read_bounded(path: Path, limit: int = MAX_BYTES) -> bytes:
 
   Args:
     path: of the file.
-    limit: bytes; what is larger is not ours, and would fill the memory.
+    limit: bytes; larger files are rejected, which could fill the memory.
 
   Raises:
     OSError: the file is missing or cannot be read.
-    ValueError: it is larger.
+    ValueError: the file is larger.
   """
   with open(path, 'rb') as file:
     content = file.read(limit + 1)
@@ -40,7 +40,7 @@ def read_json(path: Path, limit: int = MAX_BYTES) -> Any:
 
   Raises:
     OSError: the file is missing or cannot be read.
-    ValueError: it is too large, or no JSON; NaN and Infinity are none.
+    ValueError: the file is too large or not JSON (NaN, Infinity).
   """
   content = read_bounded(path, limit)
   try:
@@ -50,10 +50,10 @@ def read_json(path: Path, limit: int = MAX_BYTES) -> Any:
 
 
 def write(path: Path, content: bytes) -> None:
-  """Replaces a file in one step: a reader sees the old or the new content.
+  """Replaces a file atomically: readers see the old or the new content.
 
   Raises:
-    OSError: the folder is not writable or full; the file is as it was.
+    OSError: the folder is not writable or full; the file is unchanged.
   """
   path = pathlib.Path(path)
   _clean_up(path)
@@ -69,22 +69,22 @@ def write(path: Path, content: bytes) -> None:
 
 
 def write_json(path: Path, values: Any) -> None:
-  """Replaces a file as `write` does, by JSON that `read_json` reads."""
+  """Replaces a file atomically by JSON for `read_json`."""
   text = json.dumps(values, indent=1, allow_nan=False) + '\n'
   write(path, text.encode())
 
 
 def output_file(flag: str, value: Path | None) -> pathlib.Path | None:
-  """Returns the file to write that a flag names; None if it names none.
+  """Returns the output file of a flag, checked; None if the flag is empty.
 
-  Commands ask before the work, so that it is not lost at its end.
+  Commands call it before the work, so that no result is lost.
 
   Args:
     flag: for the error, without dashes.
     value: of the flag.
 
   Raises:
-    OSError: it is a folder, or cannot be written.
+    OSError: the path is a folder, or cannot be written.
   """
   if not value:
     return None
@@ -96,10 +96,10 @@ def output_file(flag: str, value: Path | None) -> pathlib.Path | None:
 
 
 def output_folder(flag: str, value: Path | None) -> pathlib.Path | None:
-  """Returns the folder that a flag names, made or not; None if it names none.
+  """Returns the output folder of a flag, checked; None if it is empty.
 
   Raises:
-    OSError: it is a file, or nothing can be written into it.
+    OSError: the path is a file, or the folder is not writable.
   """
   if not value:
     return None
@@ -121,7 +121,7 @@ def _refuse(constant: str) -> None:
 
 
 def _clean_up(path: pathlib.Path) -> None:
-  """Removes what processes left that were killed while they wrote `path`."""
+  """Removes temporary files of processes killed while writing `path`."""
   for other in path.parent.glob(f'.{glob.escape(path.name)}.*.tmp'):
     process = other.name.split('.')[-2]
     if process.isdecimal() and not _is_running(int(process)):
@@ -134,5 +134,5 @@ def _is_running(process: int) -> bool:
   except ProcessLookupError:
     return False
   except (OverflowError, PermissionError):
-    pass  # No process of ours, or not even one.
+    pass  # Another user's process, or none.
   return True

@@ -1,20 +1,20 @@
-"""Packages that offer names of their modules without importing these."""
+"""Lazy imports of the names that a package exports."""
 
 import importlib
 from typing import Any, Mapping
 
 
 def find(package: str, homes: Mapping[str, str], name: str) -> Any:
-  """Returns a name that a package offers: the body of its `__getattr__`.
+  """Returns an exported object: the body of a package's `__getattr__`.
 
   Args:
     package: its `__name__`.
-    homes: for each name that is offered, the module that defines it; with
-      ':NAME' behind it where its name there is another.
-    name: which is asked for.
+    homes: module of each exported name, followed by ':NAME' if its name there
+      differs.
+    name: exported name.
 
   Raises:
-    AttributeError: the package does not offer it.
+    AttributeError: the package does not export it.
   """
   if name not in homes:
     raise AttributeError(f'module {package!r} has no attribute {name!r}')

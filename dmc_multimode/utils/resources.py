@@ -1,7 +1,7 @@
-"""Where the files that ship with the package lie.
+"""Paths of the files that ship with the package.
 
-The folders `xml/`, `flags/` and `pretrained/` lie inside the package. In a
-checkout the first two are links to the folders beside it.
+The folders `xml/`, `flags/` and `pretrained/` are inside the package. In a
+checkout the first two are links to folders of the repository.
 """
 
 import pathlib
@@ -18,7 +18,7 @@ _IS_DATA = {
 
 
 def path(kind: Kind, name: str) -> pathlib.Path:
-  """Finds a shipped file or folder.
+  """Returns the path of a shipped file or folder.
 
   Args:
     kind: `'xml'` (models), `'flags'` (absl flagfiles) or `'pretrained'`
@@ -44,7 +44,7 @@ def path(kind: Kind, name: str) -> pathlib.Path:
 
 
 def names(kind: Kind) -> list[str]:
-  """Names of what is shipped of a kind, sorted, as `path` takes them."""
+  """Returns the shipped names of a kind, sorted, for `path`."""
   entries = _folder(kind).iterdir()
   return sorted(entry.name for entry in entries if _IS_DATA[kind](entry))
 

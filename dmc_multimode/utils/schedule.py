@@ -1,4 +1,4 @@
-"""A value that changes along a training, by its environment steps."""
+"""Schedules: values that depend on environment steps."""
 
 import dataclasses
 import re
@@ -17,16 +17,16 @@ _TEXT = re.compile(
 
 @pydantic_dataclasses.dataclass(frozen=True, config=config.STRICT)
 class Schedule:
-  """A value over environment steps, summed over all worlds.
+  """A value as a function of environment steps, summed over all worlds.
 
-  It is `first` before `start`, `last` from `end` on, and in between moves from
-  the one to the other. With `start` equal to `end` it jumps.
+  The value is `first` before `start`, `last` from `end` on, and interpolated
+  between them. With `start` equal to `end` it jumps.
 
   Attributes:
     first: value at the beginning.
     last: value at the end.
     start, end: environment steps.
-    interpolation: 'linear', or 'geometric' for what is positive.
+    interpolation: 'linear', or 'geometric' for positive values.
   """
 
   first: float
@@ -45,7 +45,7 @@ class Schedule:
       raise ValueError('a geometric schedule needs positive values')
 
   def at(self, steps: int) -> float:
-    """Returns the value after so many environment steps."""
+    """Returns the value after `steps` environment steps."""
     share = self.share(steps)
     if share == 1.0:
       return self.last
@@ -54,7 +54,7 @@ class Schedule:
     return self.first + share * (self.last - self.first)
 
   def share(self, steps: int) -> float:
-    """Returns how much of the way to `last` is gone after so many steps."""
+    """Returns the interpolation weight of `last` after `steps`, in [0, 1]."""
     if steps >= self.end:
       return 1.0
     return max(steps - self.start, 0) / max(self.end - self.start, 1)
@@ -78,13 +78,13 @@ def step(value: float, start: int) -> Schedule:
 
 
 def parse(text: str) -> Schedule:
-  """Returns the schedule of a text `FIRST[:LAST][@START[:END]]`.
+  """Parses a schedule `FIRST[:LAST][@START[:END]]`.
 
-  `0.5` stays, `0:0.5@8e6` jumps after 8 million steps, `0.5:0.1@10e6:14e6`
-  takes from 10 to 14 million.
+  `0.5` is constant, `0:0.5@8e6` jumps after 8 million steps,
+  `0.5:0.1@10e6:14e6` moves from 10 to 14 million.
 
   Raises:
-    ValueError: the text is none; the message shows the form.
+    ValueError: the text is not a schedule; the message shows the form.
   """
   match = _TEXT.fullmatch(text.strip())
   try:
@@ -107,7 +107,7 @@ def parse(text: str) -> Schedule:
 
 
 def _convert(value: Any) -> Any:
-  """Takes a number, or a text as `parse` does, for a schedule."""
+  """Returns the schedule of a number, or of a text for `parse`."""
   if isinstance(value, str):
     return parse(value)
   if type(value) in (int, float):
@@ -116,7 +116,7 @@ def _convert(value: Any) -> Any:
 
 
 def _convert_geometric(value: Any) -> Any:
-  """Takes what `_convert` does, for a schedule that is geometric."""
+  """Returns the geometric schedule of a number or text."""
   value = _convert(value)
   if isinstance(value, Schedule):
     return dataclasses.replace(value, interpolation='geometric')
@@ -131,7 +131,7 @@ def _check_share(value: Schedule) -> Schedule:
   return value
 
 
-# Types of fields that are schedules; a number or a text will do as well.
+# Types of fields; they accept numbers and texts.
 ScheduleField = Annotated[Schedule, pydantic.BeforeValidator(_convert)]
 ShareField = Annotated[ScheduleField, pydantic.AfterValidator(_check_share)]
 GeometricField = Annotated[

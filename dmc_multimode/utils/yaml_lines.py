@@ -1,4 +1,4 @@
-"""YAML and JSON as plain data, with the line on which each value begins.
+"""YAML and JSON as plain data, with the line of each value.
 
 Nothing in a text is executed, and values cannot refer to each other: there are
 mappings, lists, text, numbers, booleans and null, nested to a bounded depth.
@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-Path = tuple[str | int, ...]  # Where a value stands, as ('keyframes', 0).
+Path = tuple[str | int, ...]  # Path of a value, such as ('keyframes', 0).
 
 _MAX_DEPTH = 20  # Nesting.
 # Numbers are those of JSON and a little more: YAML 1.1 takes 1e-3 for text.
@@ -24,7 +24,7 @@ _TAGS = frozenset(
 
 
 class LineError(ValueError):
-  """A text is wrong at a line; the message is one line.
+  """A text is invalid at a line; the message is one line.
 
   Attributes:
     line: counted from 1.
@@ -36,18 +36,18 @@ class LineError(ValueError):
 
 
 def parse(text: str, is_json: bool) -> tuple[Any, dict[Path, int]]:
-  """Returns a text's plain data, and the line on which each value begins.
+  """Returns a text's plain data, and the line of each value.
 
   Args:
     text: of a file.
-    is_json: demands JSON, which is YAML too.
+    is_json: requires JSON, a subset of YAML.
 
   Raises:
-    LineError: it is neither, or has what its module's docstring excludes.
+    LineError: the text is invalid, or uses features that are excluded.
   """
   if is_json:
     _check_json(text)
-    text = text.replace('\t', ' ')  # Legal between JSON's tokens, not YAML's.
+    text = text.replace('\t', ' ')  # Legal in JSON, not in YAML.
   try:
     node = yaml.compose(text, Loader=_Loader)
   except yaml.MarkedYAMLError as error:
@@ -68,7 +68,7 @@ def parse(text: str, is_json: bool) -> tuple[Any, dict[Path, int]]:
 
 
 def _check_json(text: str) -> None:
-  """Raises LineError where a text is not JSON, in JSON's own words."""
+  """Raises LineError, with the JSON parser's message, for invalid JSON."""
   try:
     json.loads(text)
   except json.JSONDecodeError as error:

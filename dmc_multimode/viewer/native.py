@@ -5,12 +5,12 @@ import functools
 from dm_control.viewer import application
 from dm_control.viewer import user_input
 
-from dmc_multimode.viewer import session as live
+from dmc_multimode.viewer import session as session_lib
 
 _KEYS = 'QWERTYUIO'  # The viewer uses digits for groups of geoms.
 
 
-def run(session: live.LiveSession) -> None:
+def run(session: session_lib.LiveSession) -> None:
   """Opens the window; returns when it is closed.
 
   The viewer steps the robot itself. Backspace resets it, Space pauses, and Ctrl

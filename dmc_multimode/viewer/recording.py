@@ -200,14 +200,14 @@ def film(
     OSError: the video cannot be written.
   """
   # These import dm_control, which reads what draws.
-  from dmc_multimode.viewer import camera as scene
+  from dmc_multimode.viewer import camera as camera_lib
   from dmc_multimode.viewer import rollout as rollout_lib
 
   rollout = rollout_lib.Rollout(policy, rollout_config)
-  scene.prepare(rollout.task, config.width, config.height)
+  camera_lib.prepare(rollout.task, config.width, config.height)
   physics = rollout.start()
   start = physics.data.qpos[:3].copy()
-  camera = scene.Camera(
+  camera = camera_lib.Camera(
     physics,
     rollout.task,
     config.camera,

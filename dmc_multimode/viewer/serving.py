@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from dmc_multimode.viewer import gl
 
 if TYPE_CHECKING:
-  from dmc_multimode.viewer import session as live
+  from dmc_multimode.viewer import session as session_lib
   from dmc_multimode.viewer import web_page
 
 _CATCH_UP = 0.1  # Seconds of delay that are caught up; more is dropped.
@@ -51,10 +51,10 @@ def view(
   import torch
 
   from dmc_multimode import pretrained
-  from dmc_multimode.viewer import session as live
+  from dmc_multimode.viewer import session as session_lib
 
   torch.set_num_threads(1)  # Batches are small.
-  session = live.LiveSession(
+  session = session_lib.LiveSession(
     pretrained.load(policy), arena, seed, threads=threads
   )
   with contextlib.closing(session), contextlib.suppress(KeyboardInterrupt):
@@ -99,7 +99,7 @@ def check_address(host: str, port: int) -> None:
       raise OSError(f'--port={port}: {error.strerror}.') from error
 
 
-def _serve(session: 'live.LiveSession', host: str, port: int) -> None:
+def _serve(session: 'session_lib.LiveSession', host: str, port: int) -> None:
   """Serves the page and runs the session in real time."""
   try:
     import viser
@@ -122,7 +122,7 @@ def _serve(session: 'live.LiveSession', host: str, port: int) -> None:
       server.stop()
 
 
-def _run(session: 'live.LiveSession', page: 'web_page.Page') -> None:
+def _run(session: 'session_lib.LiveSession', page: 'web_page.Page') -> None:
   """Steps the session in real time, for ever."""
   due = time.monotonic()
   while True:

@@ -16,7 +16,7 @@ from viser import uplot
 
 from dmc_multimode.arenas import layouts
 from dmc_multimode.planner import plan as plan_lib
-from dmc_multimode.viewer import session as live
+from dmc_multimode.viewer import session as session_lib
 from dmc_multimode.viewer import web_scene
 
 _PUSHES = {  # Label: key, direction in the world.
@@ -38,7 +38,9 @@ _LEGEND, _PADDING = uplot.Legend(live=False), (10, 24, 0, 0)
 class Page:
   """The page of one session."""
 
-  def __init__(self, server: viser.ViserServer, session: live.LiveSession):
+  def __init__(
+    self, server: viser.ViserServer, session: session_lib.LiveSession
+  ):
     """Builds the page."""
     self._server, self._session = server, session
     self._requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
@@ -71,7 +73,7 @@ class Page:
       except ValueError as error:
         self._session.notice = str(error)
 
-  def show(self, state: live.LiveState, late: bool = False) -> None:
+  def show(self, state: session_lib.LiveState, late: bool = False) -> None:
     """Updates the robot and, at intervals, texts and plots.
 
     Args:
@@ -125,7 +127,7 @@ class Page:
       button.on_click(lambda _, command=command: self._ask(command))
       self._bind(mode, str(i + 1) if i < _DIGITS else None, command)
       self._modes[mode] = button
-    slowest, fastest = live.CLOCK_RATES
+    slowest, fastest = session_lib.CLOCK_RATES
     self._rate = gui.add_slider(
       'clock rate',
       min=slowest,
@@ -149,7 +151,7 @@ class Page:
 
   def _add_pushes(self) -> None:
     """Adds buttons and keys for pushes, and their speed."""
-    slowest, fastest = live.PUSH_SPEEDS
+    slowest, fastest = session_lib.PUSH_SPEEDS
     self._speed = self._server.gui.add_number(
       'push, m/s',
       initial_value=_PUSH_SPEED,
@@ -226,7 +228,7 @@ class Page:
     self._values.data = (times, values[0], values[1])
     self._ran.data = (times, values[2])
 
-  def _show_status(self, state: live.LiveState) -> None:
+  def _show_status(self, state: session_lib.LiveState) -> None:
     step, session = state.step, self._session
     lines = [
       f'<b>{step.mode}</b>{" (plan)" if state.replaying else ""}',

@@ -14,10 +14,10 @@ from scipy.spatial import transform
 import viser
 
 from dmc_multimode.arenas import terrain as terrain_lib
-from dmc_multimode.viewer import camera as scene
+from dmc_multimode.viewer import camera as camera_lib
 from dmc_multimode.viewer import rollout
 
-_VIEW = scene.VIEWS['side']
+_VIEW = camera_lib.VIEWS['side']
 _DISTANCE, _NEAR = 3.0, 0.1  # Metres to the robot: initial, least.
 _ENVIRONMENT = 0.2  # Intensity of the ambient light.
 _FIELD_OF_VIEW = np.radians(45.0)
@@ -50,7 +50,7 @@ class LiveScene:
       server: of the page.
       robot: any robot of the session: all have the same geoms.
     """
-    self._server, self._aim = server, scene.Aim()
+    self._server, self._aim = server, camera_lib.Aim()
     # These two frames follow the robot; the first is mjviser's.
     self._frames = [
       server.scene.add_frame(name, show_axes=False)
@@ -61,7 +61,7 @@ class LiveScene:
     trunk = robot.physics.bind(
       robot.task.walker.mjcf_model.find('geom', 'trunk')
     )
-    *colour, opacity = scene.GHOST
+    *colour, opacity = camera_lib.GHOST
     self._reference = server.scene.add_box(
       '/world/reference',
       tuple(colour),
@@ -115,7 +115,9 @@ class LiveScene:
       self._show_ground(robot.task.root_entity.terrain, float(position[0]))
       for frame in self._frames:
         frame.position = offset
-      place, rotation = scene.reference_pose(robot.task, float(position[0]))
+      place, rotation = camera_lib.reference_pose(
+        robot.task, float(position[0])
+      )
       self._reference.position = place
       self._reference.wxyz = transform.Rotation.from_matrix(rotation).as_quat(
         scalar_first=True
@@ -146,7 +148,7 @@ class LiveScene:
     if ground == self._drawn_ground:
       return
     self._drawn_ground = ground
-    boxes = [*_segments(terrain), *scene.ground_marks(terrain, round(x))]
+    boxes = [*_segments(terrain), *camera_lib.ground_marks(terrain, round(x))]
     flat = [box.shape == mujoco.mjtGeom.mjGEOM_PLANE for box in boxes]
     halves = np.array([box.halves for box in boxes])
     halves[flat, 2] = _FLAT
@@ -174,11 +176,11 @@ def _drawn_model(robot: rollout.Robot) -> mujoco.MjModel:
   return model
 
 
-def _segments(terrain: terrain_lib.Terrain) -> list[scene.Box]:
+def _segments(terrain: terrain_lib.Terrain) -> list[camera_lib.Box]:
   """Returns the boxes of a terrain, a batch of one."""
   centres, halves = terrain_lib.boxes(terrain)
   used = np.isfinite(terrain.starts[0])
   return [
-    scene.Box(centre, half, scene.TOP)
+    camera_lib.Box(centre, half, camera_lib.TOP)
     for centre, half in zip(centres[0][used], halves[0][used], strict=True)
   ]

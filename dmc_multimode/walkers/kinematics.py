@@ -1,11 +1,11 @@
-"""Kinematics of the legs, in a plane, and sway: no engine."""
+"""Kinematics of the legs in a plane, and lateral sway."""
 
 import numpy as np
 
 from dmc_multimode.utils import constants
 
 _LINK = 0.22  # Metres: thigh and calf alike.
-_CROUCH = np.deg2rad(54.0)  # Of the thigh from the vertical at zero angles.
+_CROUCH = np.deg2rad(54.0)  # Thigh from the vertical at zero angles, radians.
 LOWEST, HIGHEST = 0.37, 0.67  # Metres: knees and reach set the bounds.
 _HIP_PITCH, _KNEE, _ANKLE = 2, 3, 4  # Of each leg's five joints.
 _HALF_WIDTH = 0.09  # Metres: of the feet from the trunk's middle.
@@ -18,16 +18,16 @@ def placing(
   forward_rate: np.ndarray,
   height_rate: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-  """Returns joints that put each flat sole somewhere below an upright trunk.
+  """Returns joint angles and rates for given places of flat soles.
 
   Thigh and calf are equally long, so that both lean by one angle a from the
   line between hip and ankle, which is 2 l cos(a) long.
 
   Args:
     forward: of the soles (left, right) from under their hips, metres, [N, 2].
-    height: of the trunk over the soles, metres, [N, 2]; cut to what legs can
-      do.
-    forward_rate, height_rate: how fast these change, m/s, [N, 2].
+    height: of the trunk over the soles, metres, [N, 2]; clipped to the legs'
+      reach.
+    forward_rate, height_rate: rates of these, m/s, [N, 2].
 
   Returns:
     Joint angles, radians, and velocities, rad/s, [N, 10] each.
@@ -60,21 +60,21 @@ def stepping(
   time: np.ndarray,
   length: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-  """Returns places and velocities of a gait's feet in the middle of its stride.
+  """Returns places and velocities of a gait's feet during a step.
 
-  The foot that stands is passed by the trunk half-way through the step, when
-  the other, which swings the same way forward, is highest.
+  The trunk passes the stance foot in the middle of the step, when the swing
+  foot is highest.
 
   Args:
     speed: of the trunk, forward, m/s, [N].
-    swinging: whether a foot (left, right) is in the air, [N, 2]; one at most.
+    swinging: mask of the foot (left, right) in the air, [N, 2]; one at most.
     time: since the middle of the step, seconds, [N].
     length: of the step, seconds, [N].
 
   Returns:
-    How far the soles are forward of their hips and how high over the ground,
-    metres, and how fast these change, m/s, [N, 2] each; zero for the robots
-    none of whose feet swings.
+    Distances of the soles ahead of their hips and heights over the ground,
+    metres, and the rates of both, m/s, [N, 2] each; zero for robots without a
+    swing foot.
   """
   steps = swinging.any(axis=1)
   way = np.where(swinging, 1.0, -1.0) * (steps * speed)[:, None]
@@ -88,17 +88,17 @@ def stepping(
 def sway(
   swinging: np.ndarray, time: np.ndarray, length: np.ndarray
 ) -> np.ndarray:
-  """Returns the lateral velocity, to the left, that leads to the next step.
+  """Returns the lateral velocity of the trunk during a step, m/s, [N].
 
-  That of a linear inverted pendulum (Kajita et al. 2001) over the foot that
-  stands, which takes the trunk from the middle between the feet to that foot
-  and, by the end of the step, back again.
+  The trunk is a linear inverted pendulum (Kajita et al. 2001) over the stance
+  foot: it moves from the middle between the feet towards that foot and, by the
+  end of the step, back.
 
   Args:
     swinging, time, length: as for `stepping`.
 
   Returns:
-    m/s, [N]; zero for the robots none of whose feet swings.
+    Velocity to the left, m/s, [N]; zero for robots without a swing foot.
   """
   rate = np.sqrt(constants.GRAVITY / constants.STAND_HEIGHT)
   side = swinging[:, 1].astype(float) - swinging[:, 0]  # Left stance: 1.

@@ -22,7 +22,8 @@ class MiniBiped(legacy_base.Walker):
   """A 14 kg biped with five torque-limited servos a leg.
 
   Actions are joint targets in radians, relative to a crouch; the servos apply
-  clip(30 (a - q) - 0.5 qdot, +-30) Nm at every physics step (Eq. 2).
+  clip(30 (a - q) - 0.5 qdot, +-30) Nm at every physics step (Eq. 2). The gains
+  are those of the actuators in `xml/mini_biped.xml`.
   """
 
   def _build(self, name: str = 'walker', initializer: Any = None) -> None:
@@ -31,8 +32,8 @@ class MiniBiped(legacy_base.Walker):
       str(resources.path('xml', 'mini_biped.xml'))
     )
     self._mjcf_root.model = name
-    # dm_control's `action_spec` does not look into default classes, and would
-    # bound the actions by 1.
+    # dm_control's `action_spec` ignores default classes, and would bound the
+    # actions by 1.
     servo = self._mjcf_root.default.find('default', 'servo').position
     for actuator in self.actuators:
       actuator.ctrlrange = servo.ctrlrange
@@ -42,8 +43,8 @@ class MiniBiped(legacy_base.Walker):
 
     The integrator is implicit in the servos' damping but not in their
     stiffness, on which a foot alone swings at 240 rad/s: steps of 5 ms do not
-    resolve that. With this inertia, which vanishes with h, it is as if the
-    stiffness were implicit too, and steps of 10 ms track those of 1 ms.
+    resolve that. This inertia, which vanishes with h, acts as if the stiffness
+    were implicit too: steps of 10 ms track those of 1 ms.
     """
     stiffness = self._mjcf_root.default.find('default', 'servo').position.kp
     for joint in self.observable_joints:
@@ -97,7 +98,7 @@ class MiniBiped(legacy_base.Walker):
     return tuple(self._mjcf_root.find('sensor', f'{s}_foot') for s in SIDES)
 
   def aliveness(self, physics: Any) -> float:
-    """Returns 0 upright down to -1 upside down."""
+    """Returns a value from 0, upright, to -1, upside down."""
     return float(physics.bind(self.root_body).xmat[-1] - 1.0) / 2
 
 

@@ -14,7 +14,7 @@ import torch
 from dmc_multimode import pretrained
 from dmc_multimode.agents import checkpointing
 from dmc_multimode.experiments import config as run_config
-from dmc_multimode.experiments import launch as launches
+from dmc_multimode.experiments import launch as launch_lib
 from dmc_multimode.experiments import setup
 from tests.bin import processes
 from tests.bin import short_run
@@ -238,6 +238,6 @@ def test_restarts(
   """A run of the same launch goes on; another launch must be asked to."""
   if began is not None:
     monkeypatch.setenv('TORCHELASTIC_RUN_ID', began)
-    launches.note(tmp_path / 'launch')
+    launch_lib.note(tmp_path / 'launch')
   monkeypatch.setenv('TORCHELASTIC_RUN_ID', now)
-  assert launches.is_restart(tmp_path / 'launch') == restart
+  assert launch_lib.is_restart(tmp_path / 'launch') == restart

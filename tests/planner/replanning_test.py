@@ -13,7 +13,7 @@ from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.planner import q_learning
 from dmc_multimode.planner import replanning
-from dmc_multimode.planner import solver as planning
+from dmc_multimode.planner import solver as solver_lib
 from dmc_multimode.suite.reaching import problem as reaching
 from tests.planner import replay
 
@@ -65,11 +65,11 @@ def test_solve_rejects(arguments: dict[str, Any], message: str) -> None:
 @pytest.mark.slow
 def test_a_plan_survives_pushes(policy: pretrained.Policy) -> None:
   """Open loop the robot ends where it was pushed to; replanning it returns."""
-  solver = planning.Solver(
+  solver = solver_lib.Solver(
     policy, 'flat', _CONFIG, beam_search.BeamConfig(3, attempts=1), 1
   )
   lost = replanning.follow(solver, _PUSHES)
-  reports: list[planning.Status] = []
+  reports: list[solver_lib.Status] = []
   found = replanning.follow(solver, _PUSHES, 2, reports.append)
   assert (lost.success, found.success) == (False, True)
   assert lost.final_position[0] < 0.35 < found.final_position[0]
@@ -92,7 +92,7 @@ def test_a_plan_survives_pushes(policy: pretrained.Policy) -> None:
 def test_without_pushes_the_first_plan_is_kept(
   policy: pretrained.Policy,
 ) -> None:
-  solver = planning.Solver(
+  solver = solver_lib.Solver(
     policy, 'flat', _SHORT, beam_search.BeamConfig(2, attempts=1), 1
   )
   open_loop, found = solver.solve(), replanning.follow(solver, every=1)
@@ -110,10 +110,10 @@ def test_without_pushes_the_first_plan_is_kept(
 
 def test_q_learning_replans(policy: pretrained.Policy) -> None:
   config = dataclasses.replace(_SHORT, goal=(5.0, 0.0, 0.5))
-  solver = planning.Solver(
+  solver = solver_lib.Solver(
     policy, 'flat', config, q_learning.QLearningConfig(2, 3), 1
   )
-  reports: list[planning.Status] = []
+  reports: list[solver_lib.Status] = []
   found = replanning.follow(solver, every=3, report=reports.append)
   assert len(found.plan.modes) == 4
   searches = [status.search for status in reports]
@@ -123,7 +123,7 @@ def test_q_learning_replans(policy: pretrained.Policy) -> None:
 def test_for_a_fallen_robot_nothing_is_planned(
   policy: pretrained.Policy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-  solver = planning.Solver(
+  solver = solver_lib.Solver(
     policy, 'flat', _CONFIG, beam_search.BeamConfig(1, attempts=1), 1
   )
   found = solver.solve()

@@ -9,11 +9,11 @@ import pytest
 
 from dmc_multimode import pretrained
 from dmc_multimode.agents.ppo import acting
-from dmc_multimode.planner import beam_search as search
+from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.planner import q_learning
-from dmc_multimode.planner import solver as planning
+from dmc_multimode.planner import solver as solver_lib
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import episodes
 from dmc_multimode.suite.imitation import events
@@ -22,7 +22,7 @@ from tests.planner import replay
 
 _CONFIG = reaching.ReachingConfig((0.8, 0.0, 0.5), 5, 0.3)
 _PLANNERS = (
-  search.BeamConfig(beams=3),
+  beam_search.BeamConfig(beams=3),
   q_learning.QLearningConfig(trials=4, episodes=6),
 )
 
@@ -34,19 +34,19 @@ def policy() -> pretrained.Policy:
 
 @pytest.mark.parametrize('planner', _PLANNERS)
 def test_solve(
-  policy: pretrained.Policy, planner: planning.PlannerConfig
+  policy: pretrained.Policy, planner: solver_lib.PlannerConfig
 ) -> None:
-  reports: list[planning.Status] = []
-  solver = planning.Solver(policy, 'flat', _CONFIG, planner, num_threads=1)
+  reports: list[solver_lib.Status] = []
+  solver = solver_lib.Solver(policy, 'flat', _CONFIG, planner, num_threads=1)
   found = solver.solve(reports.append)
   assert found.success
   assert found.final_position[0] == pytest.approx(0.8, abs=0.3)
   assert found.path.shape == (50, 3)
   distances = np.linalg.norm(found.path - [0.8, 0.0, 0.5], axis=1)
   assert found.episode_return == pytest.approx(np.exp(-distances).sum())
-  assert found.control_steps >= 50 * planning.num_worlds(planner, 3)
+  assert found.control_steps >= 50 * solver_lib.num_worlds(planner, 3)
   assert found.solve_seconds > 0
-  total = 5 if isinstance(planner, search.BeamConfig) else 6
+  total = 5 if isinstance(planner, beam_search.BeamConfig) else 6
   assert [row.done for row in reports] == list(range(1, total + 1))
   assert {row.total for row in reports} == {total}
   assert {row.search.split(' ', 1)[1] for row in reports} <= {
@@ -90,11 +90,11 @@ def _in_composer(
 @pytest.mark.parametrize('name', reaching.PROBLEMS)
 def test_pi2_crosses_the_papers_tracks(name: str) -> None:
   """Table III, with the first and smallest of the beam's attempts."""
-  solver = planning.Solver(
+  solver = solver_lib.Solver(
     pretrained.load('pi2'),
     name,
     reaching.PROBLEMS[name].config(0),
-    search.BeamConfig(attempts=1),
+    beam_search.BeamConfig(attempts=1),
   )
   found = solver.solve()
   assert found.success
@@ -108,9 +108,9 @@ def test_pi2_crosses_the_papers_tracks(name: str) -> None:
 def test_what_cannot_be_reached(policy: pretrained.Policy) -> None:
   """Twice the beams are no use, and the best plan counts, which is alive."""
   config = dataclasses.replace(_CONFIG, goal=(5.0, 0.0, 0.5))
-  planner = search.BeamConfig(2, attempts=2)
-  solver = planning.Solver(policy, 'flat', config, planner, num_threads=1)
-  reports: list[planning.Status] = []
+  planner = beam_search.BeamConfig(2, attempts=2)
+  solver = solver_lib.Solver(policy, 'flat', config, planner, num_threads=1)
+  reports: list[solver_lib.Status] = []
   found = solver.solve(reports.append)
   assert not found.success
   assert found.final_position[0] > 0.4  # As far as it gets.
@@ -132,17 +132,23 @@ def test_more_beams_find_what_fewer_do_not(
   walk, idle = [1] * 5, [0] * 5
 
   def beam_search(
-    problem: problem_lib.ReachingProblem, config: search.BeamConfig, report: Any
-  ) -> search.Solution:
+    problem: problem_lib.ReachingProblem,
+    config: beam_search.BeamConfig,
+    report: Any,
+  ) -> beam_search.Solution:
     assert problem.num_worlds == 3 * config.beams
     plans = [idle, walk] if config.beams == 4 else [idle, idle]
     asked.append((config.beams, id(problem)))
     report(5, 1.0, 0.0)
-    return search.Solution(np.array(plans), np.ones(2), np.ones(2, bool), 7)
+    return beam_search.Solution(
+      np.array(plans), np.ones(2), np.ones(2, bool), 7
+    )
 
   monkeypatch.setattr(search, 'beam_search', beam_search)
   asked: list[tuple[int, int]] = []
-  solver = planning.Solver(policy, 'flat', _CONFIG, search.BeamConfig(1), 1)
+  solver = solver_lib.Solver(
+    policy, 'flat', _CONFIG, beam_search.BeamConfig(1), 1
+  )
   for _ in range(2):
     found = solver.solve()
     assert found.success
@@ -155,7 +161,9 @@ def test_more_beams_find_what_fewer_do_not(
 
 def test_from_where_a_robot_is(policy: pretrained.Policy) -> None:
   """The plan is of the knots that are left, and a good guess is kept."""
-  solver = planning.Solver(policy, 'flat', _CONFIG, search.BeamConfig(3, 1), 1)
+  solver = solver_lib.Solver(
+    policy, 'flat', _CONFIG, beam_search.BeamConfig(3, 1), 1
+  )
   robot = solver.make_robot()
   for _ in range(3):
     robot.run_knot(np.array([1]))

@@ -8,21 +8,21 @@ import pytest
 
 from dmc_multimode import pretrained
 from dmc_multimode.planner import beam_search
-from dmc_multimode.viewer import session as live
+from dmc_multimode.viewer import session as session_lib
 
 _PATIENCE = 120.0  # Seconds for a search.
 
 
 @pytest.fixture(scope='module')
-def session() -> live.LiveSession:
-  return live.LiveSession(pretrained.load('pi2'))
+def session() -> session_lib.LiveSession:
+  return session_lib.LiveSession(pretrained.load('pi2'))
 
 
 def _run(
-  session: live.LiveSession,
+  session: session_lib.LiveSession,
   seconds: float,
-  until: Callable[[live.LiveState], bool] = lambda state: False,
-) -> live.LiveState:
+  until: Callable[[session_lib.LiveState], bool] = lambda state: False,
+) -> session_lib.LiveState:
   """Steps the session for so long, or until something is so."""
   for _ in range(round(seconds / session.robot.task.control_timestep)):
     state = session.step()
@@ -31,7 +31,7 @@ def _run(
   return state
 
 
-def test_launch_lands_on_the_block(session: live.LiveSession) -> None:
+def test_launch_lands_on_the_block(session: session_lib.LiveSession) -> None:
   session.set_arena('flat')
   state = _run(session, 0.6)
   assert (state.step.mode, state.down, state.notice) == ('idle', False, '')
@@ -48,7 +48,7 @@ def test_launch_lands_on_the_block(session: live.LiveSession) -> None:
   assert state.step.position[2] == pytest.approx(0.5, abs=0.06)
 
 
-def test_the_clock_rate_lasts(session: live.LiveSession) -> None:
+def test_the_clock_rate_lasts(session: session_lib.LiveSession) -> None:
   session.set_arena('flat')
   session.command('walk_forward')
   phase = session.robot.task.core.tracker.state.phase
@@ -65,7 +65,7 @@ def test_the_clock_rate_lasts(session: live.LiveSession) -> None:
   session.set_clock_rate(1.0)
 
 
-def test_pushes_move_and_are_seen(session: live.LiveSession) -> None:
+def test_pushes_move_and_are_seen(session: session_lib.LiveSession) -> None:
   session.set_arena('flat')
   _run(session, 0.3)
   before = session.robot.task.observation['velocity'][0].copy()
@@ -75,7 +75,7 @@ def test_pushes_move_and_are_seen(session: live.LiveSession) -> None:
   assert _run(session, 0.15).step.position[1] > 0.01
 
 
-def test_a_fall_is_told_and_undone(session: live.LiveSession) -> None:
+def test_a_fall_is_told_and_undone(session: session_lib.LiveSession) -> None:
   session.set_arena('flat')
   for _ in range(3):
     session.push((0.0, 3.0))
@@ -91,7 +91,7 @@ def test_a_fall_is_told_and_undone(session: live.LiveSession) -> None:
 
 
 def test_a_state_that_is_not_finite_is_told_and_undone(
-  session: live.LiveSession,
+  session: session_lib.LiveSession,
 ) -> None:
   session.set_arena('parkour', seed=4)
   starts = session.robot.task.root_entity.terrain.starts
@@ -111,7 +111,7 @@ def test_a_state_that_is_not_finite_is_told_and_undone(
 
 
 def test_plan_and_replay() -> None:
-  session = live.LiveSession(
+  session = session_lib.LiveSession(
     pretrained.load('quickstart'), planner=beam_search.BeamConfig(2, 1)
   )
   with pytest.raises(ValueError, match='no plan for this track'):
@@ -148,7 +148,7 @@ def test_plan_and_replay() -> None:
   session.close()
 
 
-def test_bad_input(session: live.LiveSession) -> None:
+def test_bad_input(session: session_lib.LiveSession) -> None:
   session.set_arena('flat')
   for what, message in (
     (lambda: session.command('fly'), "Unknown mode 'fly'"),

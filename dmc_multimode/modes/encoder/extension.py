@@ -1,10 +1,10 @@
 """New modes for a mode encoder whose latents are in use.
 
-A policy has learned what the latents of its modes mean, so these must stay what
-they are. An encoder that has never seen a motion may put it anywhere, also onto
-a mode that it knows: that of pi2 maps a squat to 1 % of the mean distance from
-idle. So the encoder is trained on, with the old modes held where they are,
-until it tells the new ones apart as well as the old ones.
+A policy depends on the latents of its modes, so these must not change. An
+encoder may map a new motion anywhere, also onto a known mode: that of pi2 maps
+a squat to 1 % of the mean distance from idle. So the encoder is trained on,
+with the latents of old modes held, until new modes are separated as well as old
+ones.
 """
 
 import copy
@@ -22,10 +22,10 @@ from dmc_multimode.modes.encoder import mode_encoder
 from dmc_multimode.modes.encoder import network as autoencoder
 from dmc_multimode.modes.encoder import training as encoder_training
 
-# How far off an encoder may be from the latent of an old mode, in any number of
-# it; latents have unit variance.
+# Largest error of an encoder in an entry of an old mode's latent; latents have
+# unit variance.
 _TOLERANCE = 0.01
-_ANCHOR_WEIGHT = 10.0  # Of the distance of old modes from where they belong.
+_ANCHOR_WEIGHT = 10.0  # Weight of the distance of old modes from their latents.
 
 
 def extend(
@@ -33,21 +33,20 @@ def extend(
   old: mode_set_lib.ModeSet,
   new: Sequence[motion_lib.ReferenceMotion],
 ) -> tuple[mode_encoder.ModeEncoder, mode_set_lib.ModeSet]:
-  """Returns an encoder that knows new modes too, and all modes with latents.
+  """Returns an encoder of old and new modes, and the mode set of all.
 
-  The latents of the old modes are those given, to the bit. The tolerances are
-  those that `base` was trained to; the result depends on the arguments alone.
+  The latents of the old modes stay the same to the bit. Tolerances are those of
+  `base`; the result depends on the arguments alone.
 
   Args:
-    base: what the old modes were encoded with; it stays as it is.
+    base: encoder of the old modes; it is not changed.
     old: modes whose latents are in use.
-    new: modes to be encoded; nothing is trained where there is none.
+    new: modes to encode; without any, nothing is trained.
 
   Raises:
-    ValueError: `base` has not made these latents, or two modes are the same to
-      it.
-    ConvergenceError: the tolerances of `base` are not met in as many epochs as
-      it was given.
+    ValueError: the old latents are not those of `base`, or two modes have the
+      same features.
+    ConvergenceError: the tolerances are not met within the epochs of `base`.
   """
   _check_base(base, old)
   motions = (*old.motions, *new)
@@ -94,7 +93,7 @@ class _Standing:
   shift: float
 
   def suffices(self, config: mode_encoder.EncoderConfig) -> bool:
-    """Returns true where the tolerances are met, on other machines too."""
+    """Returns True if the tolerances are met, with a margin for rounding."""
     return (
       self.rmse < encoder_training.SAFETY * config.max_rmse
       and self.separation * encoder_training.SAFETY > config.min_separation
@@ -103,7 +102,7 @@ class _Standing:
 
 
 class _Extension:
-  """Trains a copy of an autoencoder on, with some latents held."""
+  """Continues the training of a copy of an autoencoder, some latents held."""
 
   def __init__(
     self,
@@ -149,7 +148,7 @@ class _Extension:
     raw = network.encode(target, batch.last)
     encoded = (raw - network.latent_mean) / network.latent_scale
     shift = encoded[:count] - self._held
-    # What is decoded is what the policy gets.
+    # The decoder gets the latents that the policy gets.
     latents = torch.cat([self._held, encoded[count:]])
     error = network.decode(latents, target.shape[1]) - target
     metres = (error.detach() * network.feature_scale)[..., autoencoder.POSITION]

@@ -1,4 +1,4 @@
-"""Trained mode encoders: what they compute, and their two files."""
+"""Trained mode encoders, and their two files."""
 
 import dataclasses
 import hashlib
@@ -26,7 +26,7 @@ CONFIG_FILE = 'encoder.json'
 
 _FORMAT = 'dmc_multimode.mode_encoder.v1'
 _ADVICE = 'train one with `python -m dmc_multimode.bin.train_encoder`.'
-# At most, so that a foreign file cannot ask for all memory.
+# Upper bounds: a foreign file cannot ask for all memory.
 _Units = Annotated[int, pydantic.Field(ge=1, le=1024)]
 
 
@@ -37,14 +37,14 @@ class EncoderConfig:
   Attributes:
     latent_dim: n_m, the length of a latent.
     hidden: units of the encoder's and of the decoder's LSTM.
-    use_contacts: makes the feet's contacts part of the features; without them
+    use_contacts: adds the contacts of the feet to the features; without them
       modes that differ in nothing else (walk and hop of pi3) are alike.
     learning_rate: of Adam.
     max_epochs: passes over the set after which training has failed.
-    max_rmse: every mode's base position is reconstructed to this, in metres.
-    min_separation: the smallest distance between two modes' latents over the
-      mean distance, to be exceeded; in [0, 0.6).
-    seed: of the initial weights, the only random thing.
+    max_rmse: bound on the error of every mode's trunk position, metres.
+    min_separation: lower bound of the smallest over the mean distance between
+      latents, in [0, 0.6).
+    seed: of the initial weights; nothing else is random.
   """
 
   latent_dim: _Units = 4
@@ -59,10 +59,10 @@ class EncoderConfig:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ModeEncoder:
-  """A trained autoencoder with the modes that it was trained on.
+  """A trained autoencoder and the modes of its training.
 
   Attributes:
-    config: how it was trained.
+    config: of the training.
     motions: the mode set, whose order gives the mode indices.
     network: the autoencoder with its statistics.
   """
@@ -72,9 +72,9 @@ class ModeEncoder:
   network: autoencoder.Autoencoder
 
   def encode(self, motions: Sequence[motion_lib.ReferenceMotion]) -> np.ndarray:
-    """Returns the command vectors of any motions, float32, [N, n_m].
+    """Returns the latents of any motions, float32, [N, n_m].
 
-    They are standardised by the statistics of the set trained on.
+    Latents are standardised by the statistics of the training set.
     """
     return self._latents(
       autoencoder.Batch(motions, self.config.use_contacts)
@@ -83,7 +83,7 @@ class ModeEncoder:
   def reconstruct(
     self, motions: Sequence[motion_lib.ReferenceMotion]
   ) -> list[np.ndarray]:
-    """Returns what the decoder makes of each motion's latent.
+    """Returns the reconstruction of each motion from its latent.
 
     Returns:
       For each motion the features of its T steps, [T, F], in the columns and
@@ -98,7 +98,7 @@ class ModeEncoder:
     return [x[:n].numpy() for x, n in zip(decoded, lengths, strict=True)]
 
   def rmse(self) -> dict[str, float]:
-    """Returns each mode's error of reconstruction of the base, in metres."""
+    """Returns each mode's RMSE of the trunk position, metres."""
     errors = {}
     reconstructed = self.reconstruct(self.motions)
     for motion, found in zip(self.motions, reconstructed, strict=True):
@@ -108,12 +108,12 @@ class ModeEncoder:
     return errors
 
   def codebook(self) -> codebook_lib.Codebook:
-    """Returns the command vectors of the mode set."""
+    """Returns the latents of the mode set."""
     names = tuple(motion.name for motion in self.motions)
     return codebook_lib.Codebook(names, self.encode(self.motions))
 
   def distances(self) -> np.ndarray:
-    """Returns the distances between the modes' command vectors, [M, M]."""
+    """Returns the distances between the modes' latents, [M, M]."""
     return self.codebook().distances()
 
   def save(self, directory: str | os.PathLike[str]) -> None:
@@ -146,11 +146,11 @@ class ModeEncoder:
 
 
 def load(directory: str | os.PathLike[str]) -> ModeEncoder:
-  """Reads what `ModeEncoder.save` wrote; runs no code from the files.
+  """Reads an encoder of `ModeEncoder.save`; runs no code from the files.
 
   Raises:
     ValueError: a file is missing, truncated or foreign, or the two do not
-      belong together; one line that names the file and says what to do.
+      belong together; one line with the file and the remedy.
   """
   path = pathlib.Path(directory) / CONFIG_FILE
   try:
@@ -177,12 +177,12 @@ def load(directory: str | os.PathLike[str]) -> ModeEncoder:
 
 
 def digest(weights: bytes) -> str:
-  """Returns what encoder.json remembers the weights file by."""
+  """Returns the digest of the weights file, for encoder.json."""
   return hashlib.sha256(weights).hexdigest()
 
 
 def _read(path: pathlib.Path) -> bytes:
-  """Returns a file's content; raises ValueError where there is none."""
+  """Returns a file's content; raises ValueError if it is missing."""
   try:
     return files.read_bounded(path)
   except OSError as error:
@@ -207,7 +207,7 @@ def make_network(config: EncoderConfig) -> autoencoder.Autoencoder:
 def _network(
   path: pathlib.Path, weights: bytes, config: EncoderConfig
 ) -> autoencoder.Autoencoder:
-  """Returns the network that `weights` hold; raises ValueError."""
+  """Returns the network with `weights`; raises ValueError."""
   network = make_network(config)
   kind = lambda value: (value.dtype, tuple(value.shape))
   expected = {k: kind(v) for k, v in network.state_dict().items()}
@@ -215,7 +215,7 @@ def _network(
     state = safetensors.torch.load(weights)
   except (
     safetensors.SafetensorError,
-    AttributeError,  # A type of numbers that this torch does not know.
+    AttributeError,  # A dtype that this torch does not know.
     KeyError,
     RuntimeError,
   ) as error:

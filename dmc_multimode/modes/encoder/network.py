@@ -44,7 +44,7 @@ def features(
 
 
 class Autoencoder(nn.Module):
-  """Two LSTMs, and the statistics that frame them; all in float32."""
+  """Two LSTMs, with statistics of features and latents, in float32."""
 
   feature_mean: torch.Tensor
   feature_scale: torch.Tensor
@@ -54,7 +54,7 @@ class Autoencoder(nn.Module):
   def __init__(
     self, num_features: int, latent_dim: int, hidden: int, seed: int = 0
   ):
-    """Draws the weights; torch's global generator is left as it was."""
+    """Draws the weights; does not change torch's global generator."""
     super().__init__()
     with torch.random.fork_rng(devices=[]):
       torch.default_generator.manual_seed(seed)

@@ -1,21 +1,21 @@
 """Training of the mode encoder, an LSTM autoencoder of reference motions.
 
 After Krishna and Nguyen, Sec. II-B: the encoder reads a motion step by step and
-gives one latent z; z, repeated once a step, drives the decoder, which gives the
-motion back. Encoder and decoder are one LSTM layer of 32 each with a linear
-read-out, without further activations. Each step is the base's position and
-orientation and, if asked for, the feet's contacts.
+returns one latent z; z, repeated for each step, is the input of the decoder,
+which reconstructs the motion. Encoder and decoder are one LSTM layer of 32 each
+with a linear read-out, without further activations. Each step has the trunk's
+position and orientation and, optionally, the contacts of the feet.
 
 Three things differ from the paper, which trains on the reconstruction loss
 alone and names no end:
-- Training ends by what the latents are for: every mode is reconstructed to 2 cm
-  and no two modes lie close to each other. Reconstruction alone let modes share
-  a corner of the latent space (pi1, one seed: after 2,500 epochs the smallest
-  distance was 0.18 of the mean), and a policy cannot tell such modes apart.
-- A hinge on the distances between modes is added to the loss, which is zero as
-  soon as the modes are apart, and so leaves their arrangement to the data.
-- The decoder already gets the latents as the policy will: standardised over the
-  set, so that the distances trained are those between the commands.
+- Training ends when every mode is reconstructed to 2 cm and no two latents are
+  close to each other. Reconstruction alone let modes share a corner of the
+  latent space (pi1, one seed: after 2,500 epochs the smallest distance was 0.18
+  of the mean), and a policy cannot tell such modes apart.
+- A hinge on the distances between latents is added to the loss. It is zero as
+  soon as they are apart, and so leaves their arrangement to the data.
+- The decoder already gets the latents that the policy gets: standardised over
+  the set, so that the distances trained are those between the latents in use.
 """
 
 import dataclasses
@@ -29,9 +29,9 @@ from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes.encoder import mode_encoder
 from dmc_multimode.modes.encoder import network as autoencoder
 
-_MIN_SCALE = 1e-6  # A feature or latent that varies less is constant.
-_CONSTANT_FEATURE_SCALE = 0.1  # Metres: a constant one has to be met, too.
-SAFETY = 0.98  # Share of a tolerance to reach, for other machines' rounding.
+_MIN_SCALE = 1e-6  # A feature or latent with less deviation counts as constant.
+_CONSTANT_FEATURE_SCALE = 0.1  # Metres: scale of a constant feature.
+SAFETY = 0.98  # Margin of tolerances, for rounding on other machines.
 HINGE = 1.6  # Modes repel up to this multiple of the minimum separation.
 MAX_GRADIENT_NORM = 1.0
 
@@ -45,8 +45,8 @@ class Progress:
   """Progress of a training.
 
   Attributes:
-    epoch: passes over the set so far.
-    worst_rmse: of the base position, over the modes, in metres.
+    epoch: number of passes over the set so far.
+    worst_rmse: largest RMSE of the trunk position over the modes, metres.
     separation: smallest over mean distance between two modes' latents.
   """
 
@@ -56,7 +56,7 @@ class Progress:
 
 
 def needs_contacts(motions: Sequence[motion_lib.ReferenceMotion]) -> bool:
-  """Returns true where contacts alone tell some of the modes apart."""
+  """Returns True if some modes differ in contacts only."""
   return _twins(motions, False) is not None
 
 
@@ -72,12 +72,12 @@ def train(
 
   Args:
     motions: the mode set.
-    config: tolerances and everything else.
+    config: sizes, tolerances and seed.
     progress: called after every pass, before its gradient step.
 
   Raises:
-    ValueError: two modes are the same to the encoder, or a motion cannot be
-      written to a file.
+    ValueError: two modes have the same features, or a motion cannot be written
+      to a file.
     ConvergenceError: `max_epochs` passed without meeting the tolerances.
   """
   check_set(motions, config)
@@ -110,7 +110,7 @@ def check_set(
   motions: Sequence[motion_lib.ReferenceMotion],
   config: mode_encoder.EncoderConfig,
 ) -> None:
-  """Raises ValueError for a set that cannot be encoded, or not be saved."""
+  """Raises ValueError for a set that cannot be encoded or saved."""
   motion_lib.check_names(motions)  # At least one mode, and unique names.
   for motion in motions:
     try:
@@ -132,7 +132,7 @@ def _twins(
   """Returns the names of two modes with equal features, if there are any."""
   seen: dict[bytes, str] = {}
   for motion in motions:
-    # Rounded: microns apart is the same motion, and +0 makes -0 a 0.
+    # Rounded to microns; adding 0 turns -0 into 0.
     key = (autoencoder.features(motion, use_contacts).round(6) + 0.0).tobytes()
     if key in seen:
       return seen[key], motion.name
@@ -152,7 +152,7 @@ def _set_feature_statistics(
 def _scale(values: torch.Tensor, constant: float) -> torch.Tensor:
   """Returns the deviation of each column, or `constant` for a constant one."""
   centred = values - values.mean(dim=0)
-  # Inside the root, for a gradient where a column does not vary.
+  # Inside the root, for a finite gradient of constant columns.
   deviation = (centred.square().mean(dim=0) + _MIN_SCALE**2).sqrt()
   return torch.where(deviation > 2 * _MIN_SCALE, deviation, constant)
 
