@@ -1,4 +1,4 @@
-"""What a wheel holds, and what it and an editable install are to users."""
+"""Tests of the wheel's content, and of installs by users."""
 
 import configparser
 import os

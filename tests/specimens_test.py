@@ -1,4 +1,4 @@
-"""What earlier versions wrote is read, and goes on: see tests/specimens."""
+"""Files of earlier versions are read and continued: see tests/specimens."""
 
 import pathlib
 import shutil

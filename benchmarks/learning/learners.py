@@ -70,7 +70,7 @@ class Learner(Protocol):
     """Collects one rollout of every world and learns from it."""
 
   def begin_episodes(self) -> None:
-    """Is called before the first action of episodes that begin together."""
+    """Resets memory, before the first action of all episodes."""
 
   def select_action(self, observations: np.ndarray) -> np.ndarray:
     """Returns mean actions, rad, [B, A] for float32 [B, D], none privileged."""
@@ -89,7 +89,7 @@ class Ours:
     self.threads = torch.get_num_threads()  # As `setup.build` left them.
 
   def begin_episodes(self) -> None:
-    """Has no memory."""
+    """Does nothing: the policy has no memory."""
 
   def iterate(self) -> None:
     """See `Learner`."""
@@ -129,7 +129,7 @@ def make(
 
 
 def iterate(learner: Learner) -> None:
-  """Lets `learner` iterate once on as many threads as suit it."""
+  """Runs one iteration of `learner` on its number of threads."""
   torch.set_num_threads(learner.threads)
   learner.iterate()
 

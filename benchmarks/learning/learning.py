@@ -84,7 +84,7 @@ class Lap(NamedTuple):
 
 
 class Result(NamedTuple):
-  """What was measured: rows of the tables, for printing and JSON."""
+  """Measurements: rows of the tables, for printing and JSON."""
 
   speed: list[Row]
   learning: list[Row]
@@ -92,7 +92,7 @@ class Result(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class _Candidate:
-  """What `evaluator_lib.Evaluator` asks of a policy."""
+  """Policy of a learner, as `evaluator_lib.Evaluator` needs it."""
 
   mode_set: mode_set_lib.ModeSet
   select_action: evaluation_episodes.SelectAction
@@ -100,7 +100,7 @@ class _Candidate:
 
 
 class _Evaluator(evaluator_lib.Evaluator):
-  """Lets a policy that remembers know when episodes begin."""
+  """Evaluator that resets the policy's memory at the start of episodes."""
 
   policy: _Candidate
 

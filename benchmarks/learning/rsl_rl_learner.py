@@ -115,7 +115,7 @@ class Learner:
       learners.copy_linears(network.value, self.runner.alg.critic)
 
   def begin_episodes(self) -> None:
-    """Has no memory."""
+    """Does nothing: the policy has no memory."""
 
   def iterate(self) -> None:
     """See `learners.Learner`."""

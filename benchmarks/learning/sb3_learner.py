@@ -93,7 +93,7 @@ class Learner:
     self.model.set_logger(logger.Logger(folder=None, output_formats=[]))
 
   def begin_episodes(self) -> None:
-    """Has no memory."""
+    """Does nothing: the policy has no memory."""
 
   def iterate(self) -> None:
     """See `learners.Learner`."""

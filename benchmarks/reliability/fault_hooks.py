@@ -1,4 +1,4 @@
-"""Lets a training suffer from within: installed in the process that trains.
+"""Faults inside a training, installed in the process that trains.
 
 Every function here changes the running process for good, and is meant for a
 child of `fault_runs` alone.
@@ -120,7 +120,7 @@ def _before_collecting(change: Callable[[Loop, int], Any]) -> None:
 
 
 def slow(seconds: float, iteration: int | None = None) -> None:
-  """Lets a rollout, or every one, take so much longer."""
+  """Delays one rollout, or all, by `seconds`."""
 
   def wait(loop: Loop, now: int) -> None:
     if iteration in (None, now):
@@ -174,7 +174,7 @@ def as_user(user: int) -> None:
 
 
 def clock_jumps(seed: int) -> None:
-  """Lets the clock on the wall jump by years, the other one forwards by hours.
+  """Makes the wall clock jump by years, the monotonic one ahead by hours.
 
   The first can do so in either direction, whenever somebody sets it; POSIX lets
   the second, which never goes back, at most stand still or leap (a machine that

@@ -58,7 +58,7 @@ class Drop(NamedTuple):
 
 
 class Bodies(NamedTuple):
-  """What random actions led to.
+  """Results of random actions.
 
   Attributes:
     steps: control steps.

@@ -173,7 +173,7 @@ def _set_modes(folder: pathlib.Path, mode: int) -> None:
 
 @contextlib.contextmanager
 def _world_nan(run: Run) -> Iterator[None]:
-  """Lets a world go NaN; what is counted then must end up in the log."""
+  """Sets a world to NaN; the log must count it."""
   run.start()
   yield
   counted = [float(row['diverged']) for row in run.rows()]

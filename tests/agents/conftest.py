@@ -1,4 +1,4 @@
-"""What the tests of agents share."""
+"""Fixtures of the tests of agents."""
 
 from typing import Iterator
 
@@ -8,7 +8,7 @@ import torch
 
 @pytest.fixture
 def one_thread() -> Iterator[None]:
-  """Lets torch compute in one thread, so that it rounds one way."""
+  """Limits torch to one thread, for reproducible rounding."""
   before = torch.get_num_threads()
   torch.set_num_threads(1)
   yield

@@ -128,7 +128,7 @@ def _learn(
 
 
 def _operations(ranks: distributed.Communicator) -> _Found:
-  """What every operation returns."""
+  """Results of every operation."""
   rank = ranks.rank
   pair = [torch.full((2, 2), 1.0 + rank), torch.tensor(4.0 * rank)]
   ranks.average(pair)
@@ -237,7 +237,7 @@ def _leave(ranks: distributed.Communicator) -> str:
 
 
 def _rank(rank: int, port: int, path: pathlib.Path) -> None:
-  """What one process does; writes what it finds."""
+  """Runs the operations of one process; writes the results."""
   torch.set_num_threads(1)
   os.environ.update(
     RANK=str(rank),
@@ -262,7 +262,7 @@ def _rank(rank: int, port: int, path: pathlib.Path) -> None:
 
 @pytest.fixture(scope='module')
 def found(tmp_path_factory: pytest.TempPathFactory) -> list[_Found]:
-  """What each of two ranks has found."""
+  """Returns the results of two ranks."""
   with socket.socket() as server:
     server.bind(('127.0.0.1', 0))
     port = server.getsockname()[1]

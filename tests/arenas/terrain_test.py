@@ -85,7 +85,7 @@ def test_clearance_height_by_hand(
 
 
 def _next(course: terrain.Terrain, x: float) -> tuple[float, float, float]:
-  """What follows the segment under one point of one terrain."""
+  """Returns `next_segment` of one point of one terrain."""
   start, rise, gap = terrain.next_segment(course, np.array([x]))
   return float(start[0]), float(rise[0]), float(gap[0])
 

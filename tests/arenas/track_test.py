@@ -41,7 +41,7 @@ def _add_balls(arena: track.Track) -> list[mjcf.Element]:
 def _starts_and_heights(
   terrain: terrain_lib.Terrain,
 ) -> tuple[np.ndarray, np.ndarray]:
-  """Where to drop the balls of a track and how high they should rest.
+  """Returns drop positions on a track and expected heights at rest.
 
   Balls of unused segments go where the first segment's go.
 

@@ -27,7 +27,7 @@ class _Gains:
 
 @pydantic_dataclasses.dataclass(frozen=True, config=config_lib.STRICT)
 class _Config:
-  """What is tuned.
+  """Test configuration.
 
   Attributes:
     gains: of Eq. 3.

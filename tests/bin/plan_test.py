@@ -65,7 +65,7 @@ def test_plan_and_record(
 def test_pushes_and_replanning(
   plan: processes.Binary, tmp_path: pathlib.Path
 ) -> None:
-  """What is written is what was commanded, and why."""
+  """The file holds the commanded modes and their origin."""
   out = tmp_path / 'plan.json'
   flags = [
     *_WALK,

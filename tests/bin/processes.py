@@ -50,7 +50,7 @@ for line in sys.stdin:
 
 
 class Done(NamedTuple):
-  """What a command line led to; a negative code is that of a signal."""
+  """Result of a command line; a negative code is that of a signal."""
 
   code: int
   stdout: str

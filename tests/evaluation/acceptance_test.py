@@ -17,7 +17,7 @@ _MODES = library.modes()
 
 
 def _perfect(motion: motion_lib.ReferenceMotion) -> gait_metrics.Trace:
-  """What a body would do that is on the reference all the time."""
+  """Returns the trace of a body that follows the reference exactly."""
   steps = round(acceptance.DURATION / _TIMESTEP)
   turns, phases = np.divmod(_TIMESTEP * np.arange(steps) / motion.duration, 1.0)
   if motion.kind == motion_lib.TRANSIENT:

@@ -24,7 +24,7 @@ _VOID = {'meta', 'img', 'br', 'hr', 'link', 'input'}
 
 
 class _Page(html.parser.HTMLParser):
-  """What a page holds: the text of its table rows, and its elements."""
+  """Content of a page: the text of its table rows, and its elements."""
 
   def __init__(self, text: str):
     super().__init__()

@@ -110,7 +110,7 @@ def test_beam_search_where_all_fall() -> None:
 
 
 def test_the_best_of_each_cell_are_kept_first() -> None:
-  """Who differs in the phase alone is not crowded out by better ones."""
+  """States that differ in phase alone are not crowded out by better ones."""
   place = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
   mode = np.zeros(6)
   phase = np.array([0.0, 0.0, 0.0, 3.0, 3.0, 0.0])

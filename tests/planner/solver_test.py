@@ -131,7 +131,7 @@ def test_more_beams_find_what_fewer_do_not(
   """And those that do are kept for the next time."""
   walk, idle = [1] * 5, [0] * 5
 
-  def beam_search(
+  def given_plans(
     problem: problem_lib.ReachingProblem,
     config: beam_search.BeamConfig,
     report: Any,
@@ -144,7 +144,7 @@ def test_more_beams_find_what_fewer_do_not(
       np.array(plans), np.ones(2), np.ones(2, bool), 7
     )
 
-  monkeypatch.setattr(search, 'beam_search', beam_search)
+  monkeypatch.setattr(beam_search, 'beam_search', given_plans)
   asked: list[tuple[int, int]] = []
   solver = solver_lib.Solver(
     policy, 'flat', _CONFIG, beam_search.BeamConfig(1), 1

@@ -147,7 +147,7 @@ def test_activation(folder: pathlib.Path, activation: str) -> None:
 
 
 def test_description_of_an_earlier_version(folder: pathlib.Path) -> None:
-  """What is not said is as it was before there was a choice."""
+  """Missing fields have their values of before there was a choice."""
   assert {'activation', 'privileged_size'} <= json.loads(
     _description(folder).read_text()
   ).keys()

@@ -100,7 +100,7 @@ def _codebook(folder: pathlib.Path) -> None:
 
 
 def _nothing(folder: pathlib.Path) -> None:
-  """What is planted is all there is."""
+  """Prepares nothing more than the planted fault."""
 
 
 def _read_previous(folder: pathlib.Path) -> None:

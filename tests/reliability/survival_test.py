@@ -1,4 +1,4 @@
-"""What a run survives: torn files, dead processes, worlds that diverge."""
+"""Runs survive torn files, dead processes and diverging worlds."""
 
 import csv
 import math

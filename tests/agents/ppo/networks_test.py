@@ -108,7 +108,7 @@ def test_std() -> None:
 
 @pytest.fixture
 def network() -> networks.ActorCritic:
-  """Has statistics that would show if those of other numbers were taken."""
+  """Network whose normaliser has statistics that differ by entry."""
   torch.manual_seed(0)
   network = networks.ActorCritic(4, 2, (8,), privileged_size=3)
   network.normaliser.update(_observations(200))

@@ -283,7 +283,7 @@ def test_worlds_do_not_know_of_each_other() -> None:
 
 @pytest.mark.parametrize('privileged', (False, True))
 def test_observations_at_the_seam(privileged: bool) -> None:
-  """What is observed after an end is the next episode's beginning."""
+  """After an end, observations are of the next episode's start."""
   worlds, plain = (
     _begin(_transitions(), privileged=privileged, auto_reset=again)
     for again in (True, False)

@@ -303,7 +303,7 @@ def _assert_segments(
 def _drawing(
   edge: Sequence[float], height: Sequence[float], gap: Sequence[float]
 ) -> Any:
-  """Lets the source draw these."""
+  """Makes the obstacle source return these."""
   return mock.patch.object(
     obstacles.ObstacleSource,
     'draw',
