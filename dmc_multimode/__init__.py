@@ -72,7 +72,8 @@ def load(task: str, **task_kwargs: Any) -> 'dm_env.Environment':
   The default `config` of modes and sets is made for training: half of the
   episodes start mid-stride, on the reference at a random phase, and the edges
   of ledges are noisy. For episodes from rest, as in evaluations, pass
-  `config=ImitationConfig(events=events.NONE)`, both from `suite.imitation`.
+  `config=config.ImitationConfig(events=events.NONE)`, with the modules `config`
+  and `events` of `dmc_multimode.suite.imitation`.
 
   Args:
     task: name of a mode, a set of modes, or `reach_` and a track.

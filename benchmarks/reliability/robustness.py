@@ -7,7 +7,7 @@ apart: the physics in finer steps than in training; the edges of blocks nearer
 or farther than the references have them; all masses and inertias, or all
 sliding friction, higher or lower; pushes, which change the trunk's velocity by
 0.3 m/s in a random horizontal direction once a second; and obstacles, which
-every command meets that can: gaps under leaps, other blocks, steps ahead of
+every command meets that can: gaps under leaps, other blocks, ledges ahead of
 gaits.
 """
 
@@ -139,7 +139,7 @@ class Worlds(batched_env.BatchedImitation):
 def _with_edge(
   motion: motion_lib.ReferenceMotion, offset: float
 ) -> motion_lib.ReferenceMotion:
-  """Returns the mode with the edge of its step elsewhere."""
+  """Returns the mode with the edge of its ledge moved by `offset`, metres."""
   if motion.ledge is None:
     return motion
   edge = motion.ledge.edge + offset

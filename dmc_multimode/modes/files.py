@@ -11,7 +11,7 @@ A file holds one mode, or several under `modes:`. Its fields are those of
     - {phase: 0.5, position: [0, 0, 0.6], contacts: [0, 0]}
     - {phase: 1.0, position: [0, 0, 0.5], contacts: [1, 1]}
 
-A keyframe may turn the base by `orientation: [w, x, y, z]` or by
+A keyframe may turn the trunk by `orientation: [w, x, y, z]` or by
 `euler: [roll, pitch, yaw]` in degrees (rotations about the fixed x, y and z
 axes in this order); it is upright otherwise. Optional per mode: `step: {edge,
 height}` (a `motion.Ledge`), `takeoff`, `mirror`, `half_cycle_symmetric`.

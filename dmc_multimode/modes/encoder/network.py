@@ -26,7 +26,7 @@ def features(
   """Samples one clip of a motion about every 0.03 s, both ends included.
 
   Returns:
-    [T, F]: base position (metres), unit quaternion (w >= 0 at first, then
+    [T, F]: trunk position (metres), unit quaternion (w >= 0 at first, then
     continuous) and, with `use_contacts`, the feet's contacts (zero where a mode
     has none).
   """

@@ -2,7 +2,7 @@
 
     r = sum_o w_o exp(-k_o er_o)
 
-over the terms o of `RewardGains`: the position and the orientation of the base
+over the terms o of `RewardGains`: the position and the orientation of the trunk
 and the contacts of the feet, each against the reference.
 """
 

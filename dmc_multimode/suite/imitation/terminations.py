@@ -33,10 +33,10 @@ class TerminationLimits:
   """Bounds whose crossing ends an episode.
 
   Attributes:
-    distance: of the base from its reference, metres.
+    distance: of the trunk from its reference, metres.
     reward: lower bound of the reward of a step.
     height: lower bound of the trunk centre over its support, metres.
-    angle: of the base's orientation from its reference, radians; pi for none.
+    angle: of the trunk's orientation from its reference, radians; pi for none.
   """
 
   distance: float = 0.35
@@ -72,8 +72,8 @@ def termination_cause(
   """Returns the cause of each world's end, an index into `CAUSES`, [B].
 
   Args:
-    distance: of the base from its reference, metres, [B].
-    orientation: error of the base, sin^2(angle / 2), see `rewards`, [B].
+    distance: of the trunk from its reference, metres, [B].
+    orientation: error of the trunk, sin^2(angle / 2), see `rewards`, [B].
     reward: of this step, [B].
     height: of the trunk over its support, metres, [B].
     finite: whether the state is finite, [B].
