@@ -66,8 +66,8 @@ def test_gaits_come_first() -> None:
     _draw(first, 1000).final, _draw(plain, 1000).final
   )
   # There may be none among the modes.
-  modes = library.mode_set('idle,hop_forward,launch')
-  drawn = episodes.TransitionEpisodes(modes, first).sample(
+  without = library.mode_set('idle,hop_forward,launch')
+  drawn = episodes.TransitionEpisodes(without, first).sample(
     np.arange(300), 0, np.random.RandomState(0)
   )
   assert len(np.unique(drawn.initial)) == 3
