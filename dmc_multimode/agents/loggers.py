@@ -128,7 +128,7 @@ class TensorBoardLogger:
     others = set(threading.enumerate())
     with _named_errors(directory):
       self._writer = tensorboard.SummaryWriter(str(directory), purge_step=purge)
-    # What goes wrong in its thread is raised by `flush`; there it would be
+    # Errors of its thread are raised by `flush`; there it would be
     # printed as well, with a traceback.
     self._excepthook = threading.excepthook
     own = set(threading.enumerate()) - others

@@ -70,7 +70,7 @@ def _why_no_videos() -> str:
 
 def _evaluate(no_videos: str, communicator: distributed.Communicator) -> None:
   """Evaluates the policy; rank 0 reports."""
-  # These import dm_control, which reads what draws.
+  # These import dm_control, which reads MUJOCO_GL.
   from dmc_multimode import pretrained
   from dmc_multimode.evaluation import scores
 

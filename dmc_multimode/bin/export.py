@@ -69,7 +69,7 @@ def to_onnx(policy: pretrained.Policy) -> bytes:
   """
   try:
     import onnx
-    import onnxscript  # noqa: F401  # What torch exports with.
+    import onnxscript  # noqa: F401  # Used by torch.
   except ModuleNotFoundError as error:
     raise ModuleNotFoundError(_missing(error)) from error
   example = torch.zeros(2, policy.network.observation_size)

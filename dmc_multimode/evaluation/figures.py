@@ -63,7 +63,7 @@ def heights(
 
   Args:
     names: of the modes, one an episode, B.
-    measured: what `BatchedImitation.measure` returned, [T, B, ...].
+    measured: result of `BatchedImitation.measure` by step, [T, B, ...].
     lengths: control steps of the episodes, [B].
     timestep: seconds of a control step.
   """
@@ -89,7 +89,7 @@ def contacts(
 
   Args:
     names: of the modes, one an episode, B.
-    measured: what `BatchedImitation.measure` returned, [T, B, ...].
+    measured: result of `BatchedImitation.measure` by step, [T, B, ...].
     lengths: control steps of the episodes, [B].
     timestep: seconds of a control step.
   """
@@ -114,7 +114,7 @@ def clock_rates(
   """Draws the speed of every mode over the rate of its clock.
 
   Args:
-    values: what `scores.evaluate_clock_rates` returned.
+    values: result of `scores.evaluate_clock_rates`.
   """
   rates = [float(rate) for rate in values]
   names = list(next(iter(values.values())))
@@ -182,7 +182,7 @@ def transitions(
   Args:
     mode_set: the modes.
     schedule: of one world.
-    measured: what `BatchedImitation.measure` returned, [T, 1, ...].
+    measured: result of `BatchedImitation.measure` by step, [T, 1, ...].
     length: control steps of the episode.
     timestep: seconds of a control step.
   """

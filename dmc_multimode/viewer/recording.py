@@ -199,7 +199,7 @@ def film(
     ValueError: a mode, arena or camera is unknown, or a number out of bounds.
     OSError: the video cannot be written.
   """
-  # These import dm_control, which reads what draws.
+  # These import dm_control, which reads MUJOCO_GL.
   from dmc_multimode.viewer import camera as camera_lib
   from dmc_multimode.viewer import rollout as rollout_lib
 

@@ -120,7 +120,7 @@ def test_help_of_a_console_script(tmp_path: pathlib.Path) -> None:
   shown = subprocess.run(
     [sys.executable, str(script), '--help'], capture_output=True, text=True
   ).stdout
-  assert shown.startswith('Draws how trainings went')
+  assert shown.startswith('Draws training curves')
   assert '--out' in shown
 
 

@@ -190,7 +190,7 @@ class BatchedImitation:
     """Commands modes now, whatever the schedules say; returns observations.
 
     As for a scheduled command, the reference is anchored where the robot is,
-    and a mode that runs already just goes on.
+    and a mode that runs already continues.
 
     Args:
       modes: mode indices, one a world, [B].

@@ -88,7 +88,7 @@ class RslRlVecEnv(rsl_rl_env.VecEnv):
         time_outs: which of these ends are time limits, bool [B]. rsl_rl
           bootstraps them from the value of the observation before the end.
         final_observations: the groups of observations with those of the ended
-          episodes still in place, which is what to bootstrap from.
+          episodes still in place, to bootstrap from.
     """
     step = self._environment.step(actions.numpy())
     self._observation = final = step.observation
