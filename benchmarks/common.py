@@ -1,11 +1,15 @@
-"""Flags of a run, and reports with the machine: what benchmarks share."""
+"""Shares flags, tables and reports with the machine among benchmarks."""
 
 import importlib.metadata
 import json
 import os
 import pathlib
 import platform
-from typing import Any, Mapping, Sequence
+import sys
+from typing import Any, Iterable, Mapping, Sequence
+
+from absl import flags
+import tqdm
 
 from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.experiments import config as run_config
@@ -16,19 +20,89 @@ _PACKAGES = ('mujoco', 'dm_control', 'torch', 'numpy')
 _PARTS = ('ppo', 'sampling', 'task')
 
 
+flags.disclaim_key_flags()  # They are of the benchmark that asks for them.
+
+_WIDTH = 10  # Characters of the narrowest column.
+
+Row = dict[str, Any]
+
+
+def _parsed(columns: str) -> list[tuple[str, str, str]]:
+  """Returns title, key and format of every `title=key:format`, by bars."""
+  found = []
+  for column in columns.split(' | '):
+    name, _, form = column.partition(':')
+    title, _, key = name.rpartition('=')
+    found.append((title or key * ('=' not in name), key, form))
+  return found
+
+
+def line(columns: str, row: Mapping[str, Any]) -> str:
+  """Returns a row of a table; parts of a value that are None are left out.
+
+  Args:
+    columns: `title=key:format` of each, separated by bars; the title is by
+      default the key, and the first column is a name.
+    row: values by key.
+  """
+  cells = []
+  for title, key, form in _parsed(columns):
+    values = row[key] if isinstance(row[key], list) else [row[key]]
+    text = ' to '.join(format(x, form) for x in values if x is not None)
+    width = max(len(title), _WIDTH) + 2
+    cells.append(f'{text:>{width}}' if cells else f'{text:28}')
+  return ''.join(cells)
+
+
+def print_table(columns: str, rows: Iterable[Mapping[str, Any]]) -> None:
+  """Prints titles and rows, each as soon as there is one."""
+  titles = [title for title, _, _ in _parsed(columns)]
+  print(
+    titles[0].ljust(28)
+    + ''.join(f'{title:>{max(len(title), _WIDTH) + 2}}' for title in titles[1:])
+  )
+  for row in rows:
+    print(line(columns, row), flush=True)
+
+
+def show(columns: str, row: Mapping[str, Any]) -> None:
+  """Prints a row on stderr beside a progress bar."""
+  tqdm.tqdm.write(line(columns, row), sys.stderr)
+
+
+def define_out() -> flags.FlagHolder[str | None]:
+  """Defines --out."""
+  return flags.DEFINE_string('out', None, 'JSON file to write.')
+
+
 def define_run_flags() -> None:
-  """Defines flags for every field of the parts of a `RunConfig`."""
+  """Defines --modes, --num_worlds, --threads, --seed and those of the parts."""
+  default = run_config.RunConfig()
+  flags.DEFINE_string('modes', 'pi2', 'A mode set, or modes.')
+  flags.DEFINE_integer('num_worlds', default.num_worlds, 'Of all.', 1)
+  flags.DEFINE_integer('threads', CORES, 'Of physics and torch.', 1)
+  flags.DEFINE_integer('seed', 0, 'Of all randomness.', 0)
   for part in _PARTS:
     config_flags.define(getattr(run_config.RunConfig(), part), part)
 
 
-def configured(**values: Any) -> run_config.RunConfig:
-  """Returns a run's configuration: its parts by their flags, and `values`."""
-  parts: dict[str, Any] = {
+def configured() -> run_config.RunConfig:
+  """Returns a run's configuration by its flags."""
+  values: dict[str, Any] = {
     part: config_flags.read(getattr(run_config.RunConfig(), part), part)
     for part in _PARTS
   }
-  return run_config.RunConfig(**parts, **values)
+  for name in ('modes', 'num_worlds', 'threads', 'seed'):
+    values[name] = flags.FLAGS[name].value
+  return run_config.RunConfig(**values)
+
+
+def describe(config: run_config.RunConfig) -> str:
+  """Returns what is run, and on what."""
+  return (
+    f'{config.modes}, {config.num_worlds} worlds, {config.threads} threads on '
+    f'{CORES} cores, mujoco {_version("mujoco")}'
+  )
 
 
 def write_report(

@@ -20,10 +20,10 @@ as many units as their first hidden layer.
 """
 
 import contextlib
-import functools
 import importlib
 import time
-from typing import Any, Callable, Iterator, Protocol
+from typing import Any, Callable, Iterator
+from unittest import mock
 
 import numpy as np
 import torch
@@ -35,7 +35,6 @@ from dmc_multimode.agents.ppo import learning
 from dmc_multimode.experiments import config as run_config
 from dmc_multimode.experiments import setup
 from dmc_multimode.modes import library
-from dmc_multimode.suite.imitation import batched_env
 
 OURS = 'ours'
 # Of the libraries, which add the two losses up; ours are fitted apart.
@@ -52,47 +51,51 @@ ALIKE = NAMES[:3]  # With networks and initial weights that are the same.
 Methods = tuple[tuple[Any, str], ...]
 
 
-class Learner(Protocol):
-  """Something that learns on worlds of its own.
+class Learner:
+  """Learns on worlds of its own.
 
   Attributes:
-    environment: those worlds.
     update: classes and names of the methods that are called between the last
       step of a rollout and the first of the next.
+    environment: those worlds; mode_set: their modes.
+    network: its initial weights.
     threads: of torch's, for each operation.
   """
 
-  environment: batched_env.BatchedImitation
-  update: Methods
-  threads: int
+  update: Methods = ()
+
+  def __init__(self, run: setup.Run, reward_scale: float):
+    """Learns in the worlds of `run`; libraries get rewards scaled."""
+    del reward_scale
+    self.environment, self.network = run.environment, run.network
+    self.mode_set, self.threads = run.environment.mode_set, run.config.threads
 
   def iterate(self) -> None:
     """Collects one rollout of every world and learns from it."""
+    raise NotImplementedError
 
   def begin_episodes(self) -> None:
-    """Resets memory, before the first action of all episodes."""
+    """Forgets what went before episodes that begin together, if anything."""
 
   def select_action(self, observations: np.ndarray) -> np.ndarray:
     """Returns mean actions, rad, [B, A] for float32 [B, D], none privileged."""
+    raise NotImplementedError
 
 
-class Ours:
+class Ours(Learner):
   """This package's PPO."""
 
   update: Methods = ((learning.PPOLearner, 'step'),)
 
-  def __init__(self, run: setup.Run):
-    self._loop = run.loop
-    self.environment = run.environment
-    self.network = run.network
-    self.select_action = run.policy().select_action
+  def __init__(self, run: setup.Run, reward_scale: float):
+    super().__init__(run, reward_scale)
+    self._loop, self._policy = run.loop, run.policy()
     self.threads = torch.get_num_threads()  # As `setup.build` left them.
 
-  def begin_episodes(self) -> None:
-    """Does nothing: the policy has no memory."""
+  def select_action(self, observations: np.ndarray) -> np.ndarray:
+    return self._policy.select_action(observations)
 
   def iterate(self) -> None:
-    """See `Learner`."""
     length = runner.TrainingConfig(steps=self._loop.steps + 1)
     self._loop.run(length, loggers.Dispatcher([]), save=lambda: None)
 
@@ -117,14 +120,11 @@ def make(
   if name not in NAMES:
     raise ValueError(f'Unknown learner {name!r}; there is: {", ".join(NAMES)}.')
   run = setup.build(config, library.mode_set(config.modes))
-  if name == OURS:
-    return Ours(run)
-  module, kind = _LIBRARIES[name]
-  scale = 1 - config.ppo.discount if scale_rewards else 1.0
-  learner: Learner = getattr(importlib.import_module(module), kind)(
-    run.environment, run.network, config.ppo, config.seed, scale
-  )
-  learner.threads = config.threads
+  kind: Any = Ours
+  if name != OURS:
+    module, class_name = _LIBRARIES[name]
+    kind = getattr(importlib.import_module(module), class_name)
+  learner: Learner = kind(run, 1 - config.ppo.discount if scale_rewards else 1)
   return learner
 
 
@@ -146,13 +146,8 @@ def missing(error: ModuleNotFoundError) -> ModuleNotFoundError:
 def copy_linears(source: nn.Module, *targets: nn.Module) -> None:
   """Copies weights of linear layers, in order, to those of all `targets`."""
   found, wanted = (
-    [
-      layer
-      for module in modules
-      for layer in module.modules()
-      if isinstance(layer, nn.Linear)
-    ]
-    for modules in ((source,), targets)
+    [x for part in parts for x in part.modules() if isinstance(x, nn.Linear)]
+    for parts in ((source,), targets)
   )
   for old, new in zip(found, wanted, strict=True):
     new.weight.copy_(old.weight)
@@ -161,29 +156,21 @@ def copy_linears(source: nn.Module, *targets: nn.Module) -> None:
 
 @contextlib.contextmanager
 def timing(methods: Methods) -> Iterator[list[float]]:
-  """Collects the seconds of every call of `methods` while it is open.
-
-  Args:
-    methods: classes, each with the name of a method that it defines.
-  """
+  """Collects the seconds of every call of methods of classes."""
   spent: list[float] = []
+
+  def timed(method: Callable[..., Any]) -> Callable[..., Any]:
+    def call(*args: Any, **kwargs: Any) -> Any:
+      began = time.perf_counter()
+      try:
+        return method(*args, **kwargs)
+      finally:
+        spent.append(time.perf_counter() - began)
+
+    return call
+
   with contextlib.ExitStack() as stack:
     for owner, name in methods:
-      method = getattr(owner, name)
-      stack.callback(setattr, owner, name, method)
-      setattr(owner, name, _timed(method, spent))
+      method = timed(getattr(owner, name))
+      stack.enter_context(mock.patch.object(owner, name, method))
     yield spent
-
-
-def _timed(
-  method: Callable[..., Any], spent: list[float]
-) -> Callable[..., Any]:
-  @functools.wraps(method)
-  def call(*args: Any, **kwargs: Any) -> Any:
-    began = time.perf_counter()
-    try:
-      return method(*args, **kwargs)
-    finally:
-      spent.append(time.perf_counter() - began)
-
-  return call

@@ -7,7 +7,7 @@ hyperparameters on the same cores (`learners` says what differs). All train in
 turns, iteration after iteration, and are compared with the first of --learners
 within each round: noise of the machine hits all alike. The update is what comes
 between two rollouts: returns, advantages and all passes over the samples. What
-they have learned is judged by the code of `dmc_multimode.bin.evaluate`: mean
+they have learned is judged by the code of `dmc_multimode.evaluation`: mean
 actions, from rest. Hyperparameters are our defaults, without symmetry and
 privileged information, which not all of them know.
 """
@@ -17,10 +17,9 @@ import math
 import pathlib
 import sys
 import time
-from typing import Any, Callable, Mapping, NamedTuple, Sequence
+from typing import Any, Mapping, NamedTuple, Sequence
 
 from absl import flags
-import mujoco
 import numpy as np
 import tqdm
 
@@ -31,23 +30,11 @@ from dmc_multimode.evaluation import episodes as evaluation_episodes
 from dmc_multimode.evaluation import evaluator as evaluator_lib
 from dmc_multimode.evaluation import scores
 from dmc_multimode.experiments import config as run_config
-from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.utils import files
 
-_MODES = flags.DEFINE_string('modes', 'pi2', 'A mode set, or modes.')
-_NUM_WORLDS = flags.DEFINE_integer(
-  'num_worlds',
-  run_config.RunConfig().num_worlds,
-  'Worlds that are stepped together.',
-  lower_bound=1,
-)
-_THREADS = flags.DEFINE_integer(
-  'threads', common.CORES, 'Threads of physics and torch.', lower_bound=1
-)
-_SEED = flags.DEFINE_integer('seed', 0, 'Of all randomness.', 0)
 _LEARNERS = flags.DEFINE_list(
   'learners',
   list(learners.ALIKE),
@@ -65,14 +52,25 @@ _ROUNDS = flags.DEFINE_integer(
 _SCALE_REWARDS = flags.DEFINE_bool(
   'scale_rewards', True, 'Libraries get rewards times 1 - gamma; else raw.'
 )
-_OUT = flags.DEFINE_string('out', None, 'JSON file to write.')
+_OUT = common.define_out()
 common.define_run_flags()
 
 _SHARED = ('--ppo_symmetry=none', '--noppo_privileged_critic')
 _EPISODES = 4  # As `evaluate` runs by default.
 _MICRO = 1e6
 
-Row = dict[str, Any]
+Row = common.Row
+_SPEED = (
+  '=name | steps/s=steps_per_second:,.0f | '
+  'ratio=steps_per_second_ratio:.2f | update us=update_us_per_sample:.1f | '
+  'ratio=update_ratio:.2f | in the rounds=update_ratio_range:.2f | '
+  'besides us=besides_us_per_sample:.1f | ratio=besides_ratio:.2f'
+)
+_LEARNED = (
+  '=name | steps:,d | steps/s=steps_per_second:,.0f | '
+  'MRA modes=mra_modes:.3f | transitions=mra_transitions:.3f | '
+  'survival=survival_modes:.3f | transitions=survival_transitions:.3f'
+)
 
 
 class Lap(NamedTuple):
@@ -90,19 +88,10 @@ class Result(NamedTuple):
   learning: list[Row]
 
 
-@dataclasses.dataclass(frozen=True)
-class _Candidate:
-  """Policy of a learner, as `evaluator_lib.Evaluator` needs it."""
+class _Evaluator(scoring.Evaluator):
+  """Lets a policy that remembers know when episodes begin."""
 
-  mode_set: mode_set_lib.ModeSet
-  select_action: evaluation_episodes.SelectAction
-  begin_episodes: Callable[[], None]
-
-
-class _Evaluator(evaluator_lib.Evaluator):
-  """Evaluator that resets the policy's memory at the start of episodes."""
-
-  policy: _Candidate
+  policy: learners.Learner
 
   def run(
     self, schedule: schedule_lib.ModeSchedule, label: str
@@ -128,14 +117,8 @@ def judge(
   learner: learners.Learner, config: run_config.RunConfig
 ) -> dict[str, Any]:
   """Returns the report of `evaluate` on what has been learned."""
-  candidate = _Candidate(
-    learner.environment.mode_set,
-    learner.select_action,
-    learner.begin_episodes,
-  )
-  evaluator = _Evaluator(
-    candidate, dataclasses.replace(config.task, events=events.NONE), config.seed
-  )
+  task = dataclasses.replace(config.task, events=events.NONE)
+  evaluator = _Evaluator(learner, task, config.seed)
   return scores.report(evaluator, _EPISODES, clock_rate=1.0)
 
 
@@ -167,7 +150,7 @@ def compare(
           report = judge(learner, config)
           row = _learned(name, done * samples, laps[name], report)
           result.learning.append(row)
-          tqdm.tqdm.write(_line(row), sys.stderr)
+          common.show(_LEARNED, row)
         _write(out, config, result)
   return result
 
@@ -216,38 +199,6 @@ def _learned(
   }
 
 
-def _line(row: Row) -> str:
-  return (
-    f'{row["name"]:8}{row["steps"]:12,}{row["steps_per_second"]:9,.0f}'
-    f'{row["mra_modes"]:11.3f}{row["mra_transitions"]:13.3f}'
-    f'{row["survival_modes"]:11.3f}{row["survival_transitions"]:13.3f}'
-  )
-
-
-def _print(result: Result) -> None:
-  print(
-    f'{"":8}{"steps/s":>9}{"ratio":>7}{"update us":>11}{"ratio":>7}'
-    f'{"in the rounds":>16}{"besides us":>12}{"ratio":>7}'
-  )
-  for row in result.speed:
-    low, high = row['update_ratio_range']
-    print(
-      f'{row["name"]:8}{row["steps_per_second"]:9,.0f}'
-      f'{row["steps_per_second_ratio"]:7.2f}'
-      f'{row["update_us_per_sample"]:11.1f}{row["update_ratio"]:7.2f}'
-      f'{f"{low:.2f} to {high:.2f}":>16}'
-      f'{row["besides_us_per_sample"]:12.1f}{row["besides_ratio"]:7.2f}'
-    )
-  print('besides: all but environment.step; us: microseconds a sample')
-  if result.learning:
-    print(
-      f'\n{"":8}{"steps":>12}{"steps/s":>9}{"MRA modes":>11}'
-      f'{"transitions":>13}{"survival":>11}{"transitions":>13}'
-    )
-  for row in result.learning:
-    print(_line(row))
-
-
 def _write(
   out: pathlib.Path | None, config: run_config.RunConfig, result: Result
 ) -> None:
@@ -283,19 +234,17 @@ def main(argv: Sequence[str]) -> None:
   names, eval_steps = list(dict.fromkeys(_LEARNERS.value)), _eval_steps()
   if not names:
     raise ValueError(f'--learners: name some of {learners.NAMES}.')
-  config = common.configured(
-    modes=_MODES.value,
-    seed=_SEED.value,
-    num_worlds=_NUM_WORLDS.value,
-    threads=_THREADS.value,
-  )
+  config = common.configured()
   ppo = config.ppo
   print(
-    f'{config.modes}, {config.num_worlds} worlds x {ppo.rollout_length} steps, '
-    f'{ppo.epochs} epochs x {ppo.minibatches} minibatches, {config.threads} '
-    f'threads on {common.CORES} cores, mujoco {mujoco.__version__}'
+    f'{common.describe(config)}, {ppo.rollout_length} steps, {ppo.epochs} '
+    f'epochs x {ppo.minibatches} minibatches'
   )
-  _print(compare(config, names, eval_steps, out))
+  result = compare(config, names, eval_steps, out)
+  common.print_table(_SPEED, result.speed)
+  print('besides: all but environment.step; us: microseconds a sample')
+  if result.learning:
+    common.print_table(_LEARNED, result.learning)
 
 
 def cli() -> None:

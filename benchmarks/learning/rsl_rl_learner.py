@@ -12,8 +12,7 @@ import torch
 
 from benchmarks.learning import learners
 from dmc_multimode.agents.ppo import config as ppo_config
-from dmc_multimode.agents.ppo import networks
-from dmc_multimode.suite.imitation import batched_env
+from dmc_multimode.experiments import setup
 
 try:
   from rsl_rl import algorithms
@@ -83,26 +82,20 @@ def settings(
   }
 
 
-class Learner:
+class Learner(learners.Learner):
   """See `learners.Learner`."""
 
-  threads = 1
   update: learners.Methods = (
     (algorithms.PPO, 'compute_returns'),
     (algorithms.PPO, 'update'),
   )
   _recurrent = False
 
-  def __init__(
-    self,
-    environment: batched_env.BatchedImitation,
-    network: networks.ActorCritic,
-    ppo: ppo_config.PPOConfig,
-    seed: int,
-    reward_scale: float,
-  ):
-    """Learns in `environment`, from the weights of `network` on."""
-    self.environment = environment
+  def __init__(self, run: setup.Run, reward_scale: float):
+    """Learns in the worlds of `run`, from its weights on."""
+    super().__init__(run, reward_scale)
+    environment, network = run.environment, run.network
+    ppo, seed = run.config.ppo, run.config.seed
     worlds = rsl_rl_env.RslRlVecEnv(environment, reward_scale)
     groups = [str(name) for name in worlds.get_observations().keys()]
     torch.manual_seed(seed)  # Of the exploration and the minibatches.
@@ -114,15 +107,10 @@ class Learner:
       learners.copy_linears(network.policy, self.runner.alg.actor)
       learners.copy_linears(network.value, self.runner.alg.critic)
 
-  def begin_episodes(self) -> None:
-    """Does nothing: the policy has no memory."""
-
   def iterate(self) -> None:
-    """See `learners.Learner`."""
     self.runner.learn(1)
 
   def select_action(self, observations: np.ndarray) -> np.ndarray:
-    """See `learners.Learner`."""
     return _act(self.runner.get_inference_policy(), observations)
 
 
@@ -133,11 +121,9 @@ class RecurrentLearner(Learner):
   _memory: torch.Tensor | None = None
 
   def begin_episodes(self) -> None:
-    """See `learners.Learner`."""
     self._memory = None
 
   def select_action(self, observations: np.ndarray) -> np.ndarray:
-    """See `learners.Learner`; within what `begin_episodes` began."""
     actor = self.runner.get_inference_policy()
     # Its own memory is of the episodes of the training, which go on.
     of_training = actor.rnn.hidden_state

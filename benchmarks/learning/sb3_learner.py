@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.learning import learners
 from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.agents.ppo import networks
-from dmc_multimode.suite.imitation import batched_env
+from dmc_multimode.experiments import setup
 
 try:
   import stable_baselines3
@@ -53,25 +53,19 @@ def settings(ppo: ppo_config.PPOConfig, num_worlds: int) -> dict[str, Any]:
   }
 
 
-class Learner:
+class Learner(learners.Learner):
   """See `learners.Learner`."""
 
-  threads = 1
   update: learners.Methods = (
     (buffers.RolloutBuffer, 'compute_returns_and_advantage'),
     (stable_baselines3.PPO, 'train'),
   )
 
-  def __init__(
-    self,
-    environment: batched_env.BatchedImitation,
-    network: networks.ActorCritic,
-    ppo: ppo_config.PPOConfig,
-    seed: int,
-    reward_scale: float,
-  ):
-    """Learns in `environment`, from the weights of `network` on."""
-    self.environment = environment
+  def __init__(self, run: setup.Run, reward_scale: float):
+    """Learns in the worlds of `run`, from its weights on."""
+    super().__init__(run, reward_scale)
+    environment, network = run.environment, run.network
+    ppo, seed = run.config.ppo, run.config.seed
     self._samples = environment.num_worlds * ppo.rollout_length
     self._worlds = vec_env.VecNormalize(
       stable_baselines3_env.StableBaselines3VecEnv(environment, reward_scale),
@@ -92,16 +86,11 @@ class Learner:
     # Its own would make a folder in every iteration.
     self.model.set_logger(logger.Logger(folder=None, output_formats=[]))
 
-  def begin_episodes(self) -> None:
-    """Does nothing: the policy has no memory."""
-
   def iterate(self) -> None:
-    """See `learners.Learner`."""
     # One iteration: nothing is logged before a second.
     self.model.learn(self._samples, log_interval=2, reset_num_timesteps=False)
 
   def select_action(self, observations: np.ndarray) -> np.ndarray:
-    """See `learners.Learner`."""
     seen = self._worlds.normalize_obs(observations)
     actions, _ = self.model.predict(seen, deterministic=True)
     return actions

@@ -11,6 +11,7 @@ the modes differ as they should, 0 where they are one.
 """
 
 import dataclasses
+import functools
 import pathlib
 from typing import Any, Sequence
 
@@ -35,7 +36,7 @@ _MODES = flags.DEFINE_list(
 )
 _EPISODES = flags.DEFINE_integer('episodes', 16, 'Of each mode.', 1)
 _SEED = flags.DEFINE_integer('seed', 0, 'Of the initial states.', 0)
-_OUT = flags.DEFINE_string('out', None, 'JSON file to write.')
+_OUT = common.define_out()
 _FIGURES = flags.DEFINE_string('figures', None, 'Folder to draw into.')
 
 FIGURE_FILE = 'aliasing.png'
@@ -133,9 +134,7 @@ def main(argv: Sequence[str]) -> None:
     figures.save(pathlib.Path(folder) / FIGURE_FILE, drawn)
 
 
-def cli() -> None:
-  """Runs."""
-  app.run(main)
+cli = functools.partial(app.run, main)
 
 
 if __name__ == '__main__':

@@ -12,14 +12,17 @@ Under `torchrun` in place of `python`, several processes share the tracks; each
 plans on its share of the cores, so that seconds grow and plans stay.
 """
 
+import functools
+import itertools
 import json
+import operator
 import pathlib
-import statistics
 import sys
-from typing import Any, Sequence
+from typing import Sequence
 
 from absl import flags
 import mujoco
+import numpy as np
 import torch
 import tqdm
 
@@ -45,9 +48,15 @@ _RANDOM = flags.DEFINE_integer(
 _BEAMS = flags.DEFINE_integer(
   'beams', beam_search.BeamConfig().beams, 'Of the beam search.', 1
 )
-_OUT = flags.DEFINE_string('out', None, 'JSON file to write.')
+_OUT = common.define_out()
 
-Row = dict[str, Any]
+_COLUMNS = (
+  'track | planner | solved:d | of:d | return:.1f | '
+  'seconds=solve_seconds:.2f | steps/s=steps_per_second:.0f | '
+  'paper s=paper_seconds:.0f'
+)
+
+Row = common.Row
 
 
 def solve(
@@ -75,7 +84,8 @@ def solve(
 
 def summary(rows: Sequence[Row]) -> Row:
   """Returns the row of the table for plans of one track and planner."""
-  median = lambda key: float(statistics.median(row[key] for row in rows))
+  problem = reaching.PROBLEMS.get(rows[0]['track'])
+  median = lambda key: float(np.median([row[key] for row in rows]))
   seconds = sum(row['solve_seconds'] for row in rows)
   steps = sum(row['control_steps'] for row in rows)
   return {
@@ -86,25 +96,11 @@ def summary(rows: Sequence[Row]) -> Row:
     'return': median('return'),
     'solve_seconds': median('solve_seconds'),
     'steps_per_second': steps / seconds,
-    'paper_seconds': (
-      reaching.PROBLEMS[rows[0]['track']].paper_seconds
-      if rows[0]['track'] in reaching.PROBLEMS
-      else None
-    ),
+    'paper_seconds': getattr(problem, 'paper_seconds', None),
   }
 
 
-def _line(row: Row) -> str:
-  paper = row['paper_seconds']
-  solved = f'{row["solved"]} of {row["of"]}'
-  return (
-    f'{row["track"]:12}{row["planner"]:12}{solved:>12}{row["return"]:9.1f}'
-    f'{row["solve_seconds"]:9.2f}{row["steps_per_second"]:10.0f}'
-    f'{"" if paper is None else format(paper, ".0f"):>9}'
-  )
-
-
-def _planners() -> dict[str, solver_lib.PlannerConfig]:
+def _planners() -> dict[str, planning.PlannerConfig]:
   """Returns --planners; raises ValueError if one is unknown."""
   known: dict[str, solver_lib.PlannerConfig] = {
     'beam': beam_search.BeamConfig(_BEAMS.value),
@@ -129,11 +125,10 @@ def _cases() -> list[
     for name, wanted in reaching.PROBLEMS.items()
     for seed in range(_SEEDS.value)
   ]
-  for seed in range(_RANDOM.value):
-    cases.append(
-      (reaching.RANDOM_TRACK, reaching.random_problem(seed), planners[0])
-    )
-  return cases
+  return cases + [
+    (reaching.RANDOM_TRACK, reaching.random_problem(seed), planners[0])
+    for seed in range(_RANDOM.value)
+  ]
 
 
 def _write(out: pathlib.Path | None, rows: Sequence[Row]) -> None:
@@ -148,10 +143,8 @@ def _write(out: pathlib.Path | None, rows: Sequence[Row]) -> None:
 
 
 def _groups(rows: Sequence[Row]) -> list[list[Row]]:
-  groups: dict[tuple[str, str], list[Row]] = {}
-  for row in rows:
-    groups.setdefault((row['track'], row['planner']), []).append(row)
-  return list(groups.values())
+  key = operator.itemgetter('planner', 'track')
+  return [list(group) for _, group in itertools.groupby(rows, key)]
 
 
 def _of_all_ranks(
@@ -191,16 +184,7 @@ def _plan(communicator: distributed.Communicator) -> None:
   rows = _of_all_ranks(communicator, rows)
   if is_first:
     _write(out, rows)
-    _print(rows)
-
-
-def _print(rows: Sequence[Row]) -> None:
-  print(
-    f'{"track":12}{"planner":12}{"solved":>12}{"return":>9}{"seconds":>9}'
-    f'{"steps/s":>10}{"paper s":>9}'
-  )
-  for group in _groups(rows):
-    print(_line(summary(group)))
+    common.print_table(_COLUMNS, map(summary, _groups(rows)))
 
 
 def main(argv: Sequence[str]) -> int:
@@ -209,9 +193,7 @@ def main(argv: Sequence[str]) -> int:
   return launch.run(_plan)
 
 
-def cli() -> None:
-  """Runs."""
-  app.run(main)
+cli = functools.partial(app.run, main)
 
 
 if __name__ == '__main__':

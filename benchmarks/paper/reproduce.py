@@ -8,8 +8,11 @@ paper's figures beside ours. What has run already is not run again, so that the
 command goes on where it was interrupted.
 """
 
+import functools
+import itertools
 import json
 import pathlib
+import re
 import subprocess
 import sys
 import time
@@ -44,86 +47,57 @@ class Part(NamedTuple):
     name: of its log and report.
     words: what comes after `python -m`; `{out}` stands for the
       folder, `{shipped}` for that of the policies.
-    needs: policies that it evaluates.
   """
 
   name: str
   words: str
-  needs: tuple[str, ...] = ()
 
   @property
-  def command(self) -> list[str]:
-    """Arguments of python."""
-    return ['-m', *self.words.split()]
+  def needs(self) -> set[str]:
+    """Policies that it evaluates."""
+    named = r'--(?:policy|before|after)=(\w+)|{shipped}/(\w+)/'
+    return {a or b for a, b in re.findall(named, self.words)}
 
 
+_EVALUATION = """dmc_multimode.bin.evaluate --policy={name}
+  --episodes={episodes} --clock_rates=1,2,3 --out={{out}}/{name}.json
+  --figures={{out}}/{name}"""
+_CURVES = """dmc_multimode.bin.curves --out={{out}}/curves_{name}
+  --run=adaptive={{shipped}}/{name}/training.csv
+  --run=uniform={{shipped}}/{name}_uniform/training.csv"""
 # The baselines were trained for less: beside them, ours of as many steps. A
 # mode that has collapsed keeps the height of a robot that stands.
-_SHOWN = (
-  Part(
-    'aliasing',
-    'benchmarks.paper.aliasing --out={out}/aliasing.json --policy=pi2_18m '
-    '--policy=pi2_one_hot --figures={out}',
-    ('pi2_18m', 'pi2_one_hot'),
-  ),
-  Part(
-    'collapse',
-    'benchmarks.paper.aliasing --out={out}/collapse.json --policy=pi1_21m '
-    '--policy=pi1_uniform --modes=idle,leap_left --figures={out}/collapse',
-    ('pi1_21m', 'pi1_uniform'),
-  ),
-  Part(
-    'switching',
-    'benchmarks.paper.switching --out={out}/switching.json --figures={out}',
-    ('pi2', 'unimodal_walk', 'unimodal_launch'),
-  ),
-  Part(
-    'encoding',
-    'dmc_multimode.bin.train_encoder --modes=pi2 --out={out}/encoding',
-  ),
-  Part(
-    'modes',
-    'dmc_multimode.bin.record --policy=pi2 --arena=flat '
-    '--schedule=walk_forward:2.4,leap_forward:2.4,launch:2 '
-    '--out={out}/modes.mp4',
-    ('pi2',),
-  ),
-  Part(
-    'planning',
-    'benchmarks.paper.planning --out={out}/planning.json --random=0',
-    ('pi2',),
-  ),
-  Part(
-    'robustness',
-    'benchmarks.reliability.robustness --out={out}/robustness.json '
-    '--episodes=1',
-    ('pi2',),
-  ),
-)
+_SHOWN = {
+  'aliasing': """benchmarks.paper.aliasing --out={out}/aliasing.json
+    --policy=pi2_18m --policy=pi2_one_hot --figures={out}""",
+  'collapse': """benchmarks.paper.aliasing --out={out}/collapse.json
+    --policy=pi1_21m --policy=pi1_uniform --modes=idle,leap_left
+    --figures={out}/collapse""",
+  'switching': """benchmarks.paper.switching --out={out}/switching.json
+    --figures={out} --policy=pi2 --before=unimodal_walk
+    --after=unimodal_launch""",
+  'encoding': """dmc_multimode.bin.train_encoder --modes=pi2
+    --out={out}/encoding""",
+  'modes': """dmc_multimode.bin.record --policy=pi2 --arena=flat
+    --schedule=walk_forward:2.4,leap_forward:2.4,launch:2
+    --out={out}/modes.mp4""",
+  'planning': """benchmarks.paper.planning --policy=pi2 --random=0
+    --out={out}/planning.json""",
+  'robustness': """benchmarks.reliability.robustness --policy=pi2
+    --episodes=1 --out={out}/robustness.json""",
+}
 
 
 def parts(episodes: int) -> list[Part]:
   """Returns everything that there is to run."""
-  evaluations = [
-    Part(
-      name,
-      f'dmc_multimode.bin.evaluate --policy={name} --episodes={episodes} '
-      f'--clock_rates=1,2,3 --out={{out}}/{name}.json --figures={{out}}/{name}',
-      (name,),
-    )
-    for name in pretrained.names()
+  return [
+    *(
+      Part(name, _EVALUATION.format(name=name, episodes=episodes))
+      for name in pretrained.names()
+    ),
+    *(Part(f'curves_{x}', _CURVES.format(name=x)) for x in ('pi1', 'pi2')),
+    *itertools.starmap(Part, _SHOWN.items()),
   ]
-  curves = [
-    Part(
-      f'curves_{name}',
-      f'dmc_multimode.bin.curves --out={{out}}/curves_{name} '
-      f'--run=adaptive={{shipped}}/{name}/training.csv '
-      f'--run=uniform={{shipped}}/{name}_uniform/training.csv',
-      (name, f'{name}_uniform'),
-    )
-    for name in ('pi1', 'pi2')
-  ]
-  return [*evaluations, *curves, *_SHOWN]
 
 
 def run(part: Part, out: pathlib.Path) -> float:
@@ -134,11 +108,10 @@ def run(part: Part, out: pathlib.Path) -> float:
   """
   began, log = time.monotonic(), out / f'{part.name}.log'
   shipped = pathlib.Path(pretrained.__file__).parent
-  command = [word.format(out=out, shipped=shipped) for word in part.command]
+  words = [x.format(out=out, shipped=shipped) for x in part.words.split()]
   with open(log, 'w', encoding='utf-8') as file:
-    done = subprocess.run(
-      [sys.executable, *command], stdout=file, stderr=subprocess.STDOUT
-    )
+    command = [sys.executable, '-m', *words]
+    done = subprocess.run(command, stdout=file, stderr=subprocess.STDOUT)
   if done.returncode:
     raise ChildProcessError(f'{part.name} failed: see {log}.')
   return time.monotonic() - began
@@ -172,7 +145,7 @@ def main(argv: Sequence[str]) -> None:
   out.mkdir(parents=True, exist_ok=True)
   shipped = set(pretrained.names())
   for part in parts(_EPISODES.value):
-    missing = sorted(set(part.needs) - shipped)
+    missing = sorted(part.needs - shipped)
     done = out / f'{part.name}{_DONE}'
     if missing:
       print(f'{part.name:16} left out: no policy {", ".join(missing)}')
@@ -191,9 +164,7 @@ def main(argv: Sequence[str]) -> None:
   print(f'\nReports, figures and logs are in {out}')
 
 
-def cli() -> None:
-  """Runs."""
-  app.run(main)
+cli = functools.partial(app.run, main)
 
 
 if __name__ == '__main__':

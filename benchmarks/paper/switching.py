@@ -10,6 +10,7 @@ cm of its height over it, for a second; see `evaluation.acceptance`.
 """
 
 import dataclasses
+import functools
 import pathlib
 from typing import Any, Sequence
 
@@ -43,7 +44,7 @@ _PHASES = flags.DEFINE_integer(
   'phases', 20, 'Of the first mode at which the switch is tried.', 1
 )
 _SEED = flags.DEFINE_integer('seed', 0, 'Of the initial states.', 0)
-_OUT = flags.DEFINE_string('out', None, 'JSON file to write.')
+_OUT = common.define_out()
 _FIGURES = flags.DEFINE_string('figures', None, 'Folder to draw into.')
 
 FIGURE_FILE = 'switching.png'
@@ -180,9 +181,7 @@ def main(argv: Sequence[str]) -> None:
     figures.save(pathlib.Path(folder) / FIGURE_FILE, drawn)
 
 
-def cli() -> None:
-  """Runs."""
-  app.run(main)
+cli = functools.partial(app.run, main)
 
 
 if __name__ == '__main__':

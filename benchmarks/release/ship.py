@@ -8,6 +8,7 @@ is one of those that the run kept (--keep_every) instead of the last.
 """
 
 import csv
+import functools
 import io
 import json
 import pathlib
@@ -142,9 +143,7 @@ def main(argv: Sequence[str]) -> None:
   print(f'Shipped in {folder}')
 
 
-def cli() -> None:
-  """Runs."""
-  app.run(main)
+cli = functools.partial(app.run, main)
 
 
 if __name__ == '__main__':

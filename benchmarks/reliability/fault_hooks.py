@@ -72,12 +72,9 @@ def checkpoint_every(seconds: float) -> None:
 
 
 def die_in_checkpoint(call: int, share: float) -> None:
-  """Kills this process, as `kill -9` does, in the middle of a checkpoint.
+  """Kills this process before one of the fsyncs and renames of checkpoints.
 
-  Args:
-    call: before which fsync or rename of a checkpoint or its policy, of all of
-      them.
-    share: of a file whose fsync that is, how much has been written.
+  Only a share of the file has been written if `call` is an fsync.
   """
   inside, count = [False], [0]
 
@@ -174,12 +171,7 @@ def as_user(user: int) -> None:
 
 
 def clock_jumps(seed: int) -> None:
-  """Makes the wall clock jump by years, the monotonic one ahead by hours.
-
-  The first can do so in either direction, whenever somebody sets it; POSIX lets
-  the second, which never goes back, at most stand still or leap (a machine that
-  was suspended).
-  """
+  """Lets the clock on the wall jump by years, the other leap by hours."""
   jumps, wall, monotonic = random.Random(seed), time.time, time.monotonic
   leapt = [0.0]
 

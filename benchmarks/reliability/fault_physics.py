@@ -21,6 +21,7 @@ from typing import Any, Callable, NamedTuple
 import mujoco
 import numpy as np
 
+from benchmarks import common
 from dmc_multimode import pretrained
 from dmc_multimode.arenas import layouts
 from dmc_multimode.arenas import terrain as terrain_lib
@@ -43,13 +44,22 @@ _CORNERS = np.array(
 )
 
 
-class Drop(NamedTuple):
-  """A passive drop.
+_DROPS = (
+  'timestep s=timestep | drops:d | energy J=start:.1f | '
+  'most over it=excess:.4f | most rebound=rebound:.4f'
+)
+_BODIES = (
+  'actions, timestep s, arena=name | steps:,d | episodes:,d | diverged:d | '
+  'torque Nm=torque:.3f | deepest mm=deepest:.2f | median mm=median:.2f | '
+  'over 10 mm=deep:,d'
+)
 
-  Attributes:
-    start: energy at first, joules over that of the robot at rest on the ground.
-    excess: most energy over that at first, joules; negative if it only falls.
-    rebound: most energy over the least before, joules.
+
+class Drop(NamedTuple):
+  """Joules of a passive drop: at first, and the most over that and the least.
+
+  `start` is over that of the robot at rest on the ground; `excess` is negative
+  if energy only falls; `rebound` is the most over the least before.
   """
 
   start: float
@@ -58,15 +68,10 @@ class Drop(NamedTuple):
 
 
 class Bodies(NamedTuple):
-  """Results of random actions.
+  """Counts steps and ends; the largest torque, Nm; and depths of feet.
 
-  Attributes:
-    steps: control steps.
-    episodes: that ended in them.
-    diverged: of these, because the physics did.
-    torque: largest of a servo, Nm.
-    depth: of the deepest corner of a foot in the ground, metres, each step's
-      and world's with a foot in it, [N].
+  `depth` is that of the deepest corner of a foot in the ground, metres, each
+  step's and world's with a foot in it, [N].
   """
 
   steps: int
@@ -87,13 +92,7 @@ def _task(arena: str, timestep: float) -> composer_task.Imitation:
 
 
 def drop(timestep: float, seed: int, height: float = 0.5) -> Drop:
-  """Drops a robot without torques, turned and bent at random.
-
-  Args:
-    timestep: of the physics, seconds.
-    seed: of its pose.
-    height: over its crouch, metres.
-  """
+  """Drops a robot, turned and bent at random, so high over its crouch, m."""
   spec = mujoco_worlds.make_spec(_task('flat', timestep))
   ground = spec.geom('segment_0')
   ground.size = [20.0, *ground.size[1:]]
@@ -165,16 +164,7 @@ def random_actions(
   num_worlds: int = 100,
   seed: int = 0,
 ) -> Bodies:
-  """Acts at random on an arena.
-
-  Args:
-    arena: its name.
-    timestep: of the physics, seconds.
-    actions: FULL, STANDING or POLICY.
-    steps: control steps of all worlds together.
-    num_worlds: stepped together.
-    seed: of actions and episodes.
-  """
+  """Acts on an arena by one of ACTIONS; steps are of all worlds together."""
   task = _task(arena, timestep)
   worlds = batched_env.BatchedImitation(task, num_worlds, seed, 1)
   names = {name: f'geom_{name}' for name in ('xpos', 'xmat')}
@@ -200,33 +190,35 @@ def random_actions(
   return Bodies(count, episodes, diverged, torque, np.concatenate(depths))
 
 
+def _drops(timestep: float) -> common.Row:
+  drops = [drop(timestep, seed) for seed in range(20)]
+  return {
+    'timestep': f'{timestep:g}',
+    'drops': len(drops),
+    'start': np.mean([d.start for d in drops]),
+    'excess': max(d.excess for d in drops),
+    'rebound': max(d.rebound for d in drops),
+  }
+
+
+def _bodies(actions: str, timestep: float, arena: str) -> common.Row:
+  found = random_actions(arena, timestep, actions)
+  depth = 1e3 * np.append(found.depth, 0.0)
+  return {
+    **found._asdict(),
+    'name': f'{actions} {timestep:g} {arena}',
+    'deepest': depth.max(),
+    'median': np.median(depth),
+    'deep': (depth > 10).sum(),
+  }
+
+
 def main() -> None:
   """Prints both tables."""
-  print('timestep ms   drops   energy J   most over it   most rebound')
-  for timestep in (USERS_TIMESTEP, TRAINING_TIMESTEP):
-    drops = [drop(timestep, seed) for seed in range(20)]
-    print(
-      f'{1e3 * timestep:11g}{len(drops):8}'
-      f'{np.mean([d.start for d in drops]):11.1f}'
-      f'{max(d.excess for d in drops):15.4f}'
-      f'{max(d.rebound for d in drops):15.4f}'
-    )
-  print(
-    'actions   timestep ms  arena       steps  episodes  diverged  torque Nm  '
-    'deepest mm  median mm  over 10 mm'
-  )
-  cases = itertools.product(
-    ACTIONS, (USERS_TIMESTEP, TRAINING_TIMESTEP), layouts.NAMES
-  )
-  for actions, timestep, arena in cases:
-    found = random_actions(arena, timestep, actions)
-    depth = 1e3 * np.append(found.depth, 0.0)
-    print(
-      f'{actions:10}{1e3 * timestep:11g}  {arena:10}{found.steps:7,}'
-      f'{found.episodes:10,}{found.diverged:10}{found.torque:11.3f}'
-      f'{depth.max():12.2f}{np.median(depth):11.2f}{(depth > 10).sum():12,}',
-      flush=True,
-    )
+  timesteps = (USERS_TIMESTEP, TRAINING_TIMESTEP)
+  common.print_table(_DROPS, map(_drops, timesteps))
+  cases = itertools.product(ACTIONS, timesteps, layouts.NAMES)
+  common.print_table(_BODIES, itertools.starmap(_bodies, cases))
 
 
 if __name__ == '__main__':

@@ -50,12 +50,7 @@ class Done(NamedTuple):
   seconds: float
 
   def unexplained(self, code: int, words: str = '') -> str:
-    """Returns what is wrong with an end that was to have that exit code.
-
-    Args:
-      code: that is documented; a positive one comes with one line on stderr.
-      words: in that line.
-    """
+    """Returns what is wrong with an end by `code` and, if > 0, one line."""
     text = ' / '.join(self.errors)
     if self.code != code:
       return f'exit code {self.code}, not {code}: {text}'
@@ -67,19 +62,7 @@ class Done(NamedTuple):
 
 @dataclasses.dataclass
 class Row:
-  """Counts what one fault led to.
-
-  Attributes:
-    fault: what happened.
-    cases: how often.
-    explained: how often the process ended as it is documented to.
-    compared: states that were compared with the undisturbed run's, bit for bit.
-    different: those that were not the same.
-    checkpoints_lost: completed checkpoints that were not resumed from.
-    most_lost: control steps that were done again, at most, in iterations.
-    problems: what is not as it should be, a line each.
-    skipped: why it did not happen here.
-  """
+  """Counts what one fault led to; `faults` explains the columns."""
 
   fault: str
   cases: int = 0
@@ -99,13 +82,11 @@ class Row:
     self.problems += [problem] if problem else []
 
 
-class _Journal:
-  """Reads what `fault_hooks.journal` noted in one process."""
-
-  def __init__(self, path: pathlib.Path):
-    lines = [line.split() for line in path.read_text('ascii').splitlines()]
-    self.states = {int(x[1]): x[2] for x in lines if x[0] == 'at'}
-    self.saved = [int(x[1]) for x in lines if x[0] == 'saved']
+def _journal(path: pathlib.Path) -> tuple[dict[int, str], list[int]]:
+  """Returns states and checkpoints that `fault_hooks.journal` noted."""
+  lines = [line.split() for line in path.read_text('ascii').splitlines()]
+  states = {int(x[1]): x[2] for x in lines if x[0] == 'at'}
+  return states, [int(x[1]) for x in lines if x[0] == 'saved']
 
 
 def _train(args: tuple[str, ...], hooks: Hooks, folder: pathlib.Path) -> None:
@@ -145,22 +126,14 @@ class Run:
   def __init__(
     self, row: Row, work: pathlib.Path, lasting: Hooks, case: int, seed: int
   ):
-    """Will train in a folder inside `work`.
-
-    Args:
-      row: counts what happens.
-      work: folder for this run, its journal and its output.
-      lasting: hooks that are part of what the training is.
-      case: number of this run among those of the fault.
-      seed: of moments.
-    """
+    """Will train inside `work`, with `lasting` hooks; counts in `row`."""
     work.mkdir()
     os.chmod(work, 0o777)
     self.row, self.work, self.folder = row, work, work / 'run'
     self.case, self.random = case, random.Random(seed + case)
     self.reference: Reference | None = None
     self._lasting, self._journal = lasting, work / 'journal'
-    self.done, self._saved = 0, 0  # Control steps; by whole checkpoints.
+    self.done, self.saved = 0, 0  # Control steps; by whole checkpoints.
     self._began = 0.0
     self._process: process_lib.BaseProcess | None = None
 
@@ -196,8 +169,8 @@ class Run:
   def wait_until(self, steps: int) -> None:
     """Waits for those control steps and a checkpoint, or the end."""
     while self.is_running():
-      found = _Journal(self._journal)
-      if found.saved and max(found.states, default=0) >= steps:
+      states, saved = _journal(self._journal)
+      if saved and max(states, default=0) >= steps:
         return
 
   def wait(self) -> Done:
@@ -213,19 +186,15 @@ class Run:
     return Done(self._process.exitcode or 0, tuple(errors), seconds)
 
   def _compare(self, reference: 'Reference') -> None:
-    found, row = _Journal(self._journal), self.row
-    row.compared += len(found.states)
-    row.different += len(found.states.items() - reference.states.items())
-    if found.states:
-      resumed = min(found.states) - STEPS
-      row.checkpoints_lost += resumed < self._saved
+    (states, saved), row = _journal(self._journal), self.row
+    row.compared += len(states)
+    row.different += len(states.items() - reference.states.items())
+    if states:
+      resumed = min(states) - STEPS
+      row.checkpoints_lost += resumed < self.saved
       row.most_lost = max(row.most_lost, (self.done - resumed) // STEPS)
-      self.done = max(found.states)
-      self._saved = max([resumed, *found.saved])
-
-  def forget(self) -> None:
-    """Expects that nothing is left of it."""
-    self.done = self._saved = 0
+      self.done = max(states)
+      self.saved = max([resumed, *saved])
 
   def finish(self) -> None:
     """Resumes it to its end, where it must be what it would have been."""
@@ -246,10 +215,6 @@ class Run:
     with open(path, newline='', encoding='utf-8') as file:
       return [{**r, 'steps_per_second': ''} for r in csv.DictReader(file)]
 
-  def remove(self) -> None:
-    """Removes its folder, which may be read-only."""
-    shutil.rmtree(self.work, ignore_errors=True)
-
 
 class Reference:
   """Trains undisturbed.
@@ -267,6 +232,6 @@ class Reference:
     done = run.wait()
     if done.unexplained(0):
       raise RuntimeError(done.unexplained(0))
-    self.states = _Journal(work / 'journal').states
+    self.states, _ = _journal(work / 'journal')
     self.rows, self.seconds = run.rows(), done.seconds
-    run.remove()
+    shutil.rmtree(work)

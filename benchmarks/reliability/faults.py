@@ -20,6 +20,7 @@ unexplained. Damaged checkpoints are tests/agents/checkpointing_test.py's.
 """
 
 import contextlib
+import functools
 import os
 import pathlib
 import shutil
@@ -43,7 +44,7 @@ _ONLY = flags.DEFINE_list('only', None, 'Names of faults; all by default.')
 _FOLDER = flags.DEFINE_string(
   'folder', None, 'Where to work; by default a temporary folder.'
 )
-_OUT = flags.DEFINE_string('out', None, 'JSON file to write.')
+_OUT = common.define_out()
 
 _SEED = 0  # Of the moments. A flag of that name would be `train`'s, too.
 _POISONED = 8  # The iteration in which something becomes NaN.
@@ -146,7 +147,7 @@ def _folder_gone(run: Run) -> Iterator[None]:
     away.rename(run.folder)
   else:
     shutil.rmtree(away)
-    run.forget()
+    run.done = run.saved = 0
 
 
 @contextlib.contextmanager
@@ -184,24 +185,19 @@ def _world_nan(run: Run) -> Iterator[None]:
 class Fault(NamedTuple):
   """Describes a way to disturb a training.
 
-  Attributes:
-    title: in the table.
-    disturb: starts a run and disturbs it; once the process has ended, what
-      follows the `yield` mends what a user would.
-    code: exit code that is documented.
-    runs: how many.
-    times: how often each is disturbed and resumed.
-    words: in the error.
-    lasting: hooks of the undisturbed training and of the resumed one, too.
-    most_again: iterations that may have to be done again.
+  `disturb` starts a run and disturbs it; once the process has ended, with the
+  documented exit code and words, what follows its `yield` mends what a user
+  would. Each of the runs is disturbed and resumed so many times, with the hooks
+  `lasting` as the undisturbed one has, and at most `most_again` iterations are
+  done again.
   """
 
   title: str
-  disturb: Callable[[Run], ContextManager[None]]
   code: int
   runs: int
-  times: int = 1
+  disturb: Callable[[Run], ContextManager[None]]
   words: str = ''
+  times: int = 1
   lasting: fault_runs.Hooks = {}
   most_again: int = fault_runs.ITERATIONS
 
@@ -211,69 +207,38 @@ def _hooked(name: str, **values: Any) -> Callable[[Run], ContextManager[None]]:
   return lambda run: _start(run, {name: values})
 
 
-def _asked(number: signal.Signals, runs: int) -> Fault:
-  disturb = lambda run: _asked_to_stop(run, number)
-  return Fault(number.name, disturb, 0, runs, most_again=0)
-
-
 def faults(kills: int, cases: int) -> dict[str, Fault]:
   """Returns all faults by name."""
-  killed, read_only = -signal.SIGKILL, 'Permission denied'
-  runs = -(-kills // 10)
+  at, runs, kill = {'iteration': _POISONED}, -(-kills // 10), -signal.SIGKILL
+  world = {'world_goes_nan': {**at, 'world': 2}}
+  asked = lambda n: functools.partial(_asked_to_stop, number=n)
+  in_checkpoint = 'kill -9 inside a checkpoint write'
+  gone = 'run directory moved away, or removed'
+  many = 'more than 0.1% of worlds NaN'
   return {
-    'killed': Fault('kill -9 at a random moment', _killed, killed, runs, 5),
+    'killed': Fault('kill -9 at a random moment', kill, runs, _killed, times=5),
     'killed_in_checkpoint': Fault(
-      'kill -9 inside a checkpoint write',
-      _killed_in_checkpoint,
-      killed,
-      runs,
-      5,
+      in_checkpoint, kill, runs, _killed_in_checkpoint, times=5
     ),
-    'sigterm': _asked(signal.SIGTERM, cases),
-    'sigint': _asked(signal.SIGINT, cases),
+    'sigterm': Fault('SIGTERM', 0, cases, asked(signal.SIGTERM), most_again=0),
+    'sigint': Fault('SIGINT', 0, cases, asked(signal.SIGINT), most_again=0),
     'sigint_twice': Fault(
-      'SIGINT twice', _interrupted_twice, -signal.SIGINT, cases
+      'SIGINT twice', -signal.SIGINT, cases, _interrupted_twice
     ),
     'disk_full': Fault(
-      'disk full', _disk_full, 2, len(_DISKS), words='No space left'
+      'disk full', 2, len(_DISKS), _disk_full, 'No space left'
     ),
-    'folder_gone': Fault(
-      'run directory moved away, or removed', _folder_gone, 2, 3
-    ),
+    'folder_gone': Fault(gone, 2, 3, _folder_gone),
     'folder_read_only': Fault(
-      'run directory read-only', _folder_read_only, 2, 3, words=read_only
+      'run directory read-only', 2, 3, _folder_read_only, 'Permission denied'
     ),
-    'clock_jumps': Fault('clock jumps', _hooked('clock_jumps', seed=0), 0, 1),
-    'world_nan': Fault(
-      'a world goes NaN',
-      _world_nan,
-      0,
-      1,
-      lasting={'world_goes_nan': {'iteration': _POISONED, 'world': 2}},
-    ),
-    'worlds_nan': Fault(
-      'more than 0.1% of worlds NaN',
-      _hooked('worlds_go_nan', iteration=_POISONED),
-      *(2, 1, 1, 'diverged'),
-    ),
+    'clock_jumps': Fault('clock jumps', 0, 1, _hooked('clock_jumps', seed=0)),
+    'world_nan': Fault('a world goes NaN', 0, 1, _world_nan, lasting=world),
+    'worlds_nan': Fault(many, 2, 1, _hooked('worlds_go_nan', **at), 'diverged'),
     'reward_nan': Fault(
-      'a reward goes NaN',
-      _hooked('reward_goes_nan', iteration=_POISONED),
-      *(2, 1, 1, 'not finite'),
+      'a reward goes NaN', 2, 1, _hooked('reward_goes_nan', **at), 'not finite'
     ),
   }
-
-
-def _chosen() -> dict[str, Fault]:
-  """Returns --only; raises ValueError for what is not there."""
-  known = faults(_KILLS.value, _CASES.value)
-  names = _ONLY.value if _ONLY.value is not None else list(known)
-  unknown = [name for name in names if name not in known]
-  if unknown:
-    raise ValueError(
-      f'--only: there is no {unknown[0]!r}; there are {", ".join(known)}.'
-    )
-  return {name: known[name] for name in names}
 
 
 def suffer(fault: Fault, folder: pathlib.Path) -> fault_runs.Row:
@@ -296,27 +261,16 @@ def suffer(fault: Fault, folder: pathlib.Path) -> fault_runs.Row:
       disk = run.work / 'disk'
       if disk.is_mount():
         subprocess.run(['umount', str(disk)], check=True)
-      run.remove()
+      shutil.rmtree(run.work, ignore_errors=True)
   if row.most_lost > fault.most_again:
     row.problems.append('Iterations were lost.')
   return row
 
 
-_TITLES = ('cases', 'explained', 'states', 'different', 'lost', 'again')
-
-
-def _values(row: fault_runs.Row) -> tuple[int, ...]:
-  return (
-    *(row.cases, row.explained, row.compared, row.different),
-    *(row.checkpoints_lost, row.most_lost),
-  )
-
-
-def _line(row: fault_runs.Row) -> str:
-  if row.skipped:
-    return f'{row.fault:40}  skipped: {row.skipped}'
-  cells = ''.join(f'{value:11}' for value in _values(row))
-  return '\n'.join([f'{row.fault:40}{cells}', *row.problems])
+_COLUMNS = (
+  'fault | cases:d | explained:d | states=compared:d | different:d | '
+  'lost=checkpoints_lost:d | again=most_lost:d'
+)
 
 
 def _has_failed(row: fault_runs.Row) -> bool:
@@ -327,29 +281,28 @@ def _has_failed(row: fault_runs.Row) -> bool:
 def main(argv: Sequence[str]) -> int:
   """Runs, prints, writes; returns the exit code."""
   del argv
-  out, chosen = files.output_file('out', _OUT.value), _chosen()
+  out = files.output_file('out', _OUT.value)
+  known = faults(_KILLS.value, _CASES.value)
+  names = [*known] if _ONLY.value is None else _ONLY.value
+  if set(names) - set(known):
+    raise ValueError(f'--only: there are {", ".join(known)}.')
   rows = []
-  for fault in tqdm.tqdm(chosen.values(), unit='fault'):
+  for name in tqdm.tqdm(names, unit='fault'):
     with tempfile.TemporaryDirectory(dir=_FOLDER.value) as folder:
       os.chmod(folder, 0o777)  # Of nobody, too.
-      rows.append(suffer(fault, pathlib.Path(folder)))
-    tqdm.tqdm.write(_line(rows[-1]))
-  print(f'{"fault":40}' + ''.join(f'{title:>11}' for title in _TITLES))
+      rows.append(suffer(known[name], pathlib.Path(folder)))
+    common.show(_COLUMNS, vars(rows[-1]))
+  common.print_table(_COLUMNS, map(vars, rows))
   for row in rows:
-    print(_line(row))
-  total = [sum(column) for column in zip(*map(_values, rows), strict=True)]
-  print(
-    f'{total[0]} faults: {total[4]} checkpoints lost, {total[3]} states '
-    f'different of {total[2]}, {total[0] - total[1]} ends unexplained.'
-  )
+    skipped = [f'skipped: {row.skipped}'] if row.skipped else []
+    for text in [*row.problems, *skipped]:
+      print(f'{row.fault}: {text}')
   report = {'benchmark': 'faults', 'table': [vars(row) for row in rows]}
   common.write_report(out, {**report, 'kills': _KILLS.value})
   return app.EXIT_UNSOLVED if any(map(_has_failed, rows)) else 0
 
 
-def cli() -> None:
-  """Runs."""
-  app.run(main)
+cli = functools.partial(app.run, main)
 
 
 if __name__ == '__main__':

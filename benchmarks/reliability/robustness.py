@@ -2,7 +2,7 @@
 
     python -m benchmarks.reliability.robustness --policy=pi2 --out=FILE.json
 
-Everything is judged by the code of `dmc_multimode.bin.evaluate`, each case
+Everything is judged by the code of `dmc_multimode.evaluation`, each case
 apart: the physics in finer steps than in training; the edges of blocks nearer
 or farther than the references have them; all masses and inertias, or all
 sliding friction, higher or lower; pushes, which change the trunk's velocity by
@@ -12,9 +12,8 @@ gaits.
 """
 
 import dataclasses
-import pathlib
-import sys
-from typing import Any, Mapping, Sequence
+import functools
+from typing import Mapping, Sequence
 
 from absl import flags
 import mujoco
@@ -45,24 +44,22 @@ _EPISODES = flags.DEFINE_integer(
   'episodes', 4, 'Like those of `evaluate`.', lower_bound=1
 )
 _SEED = flags.DEFINE_integer('seed', 0, 'Of initial states and pushes.', 0)
-_OUT = flags.DEFINE_string('out', None, 'JSON file to write.')
+_OUT = common.define_out()
 
-Row = dict[str, Any]
+_COLUMNS = (
+  '=name | MRA modes=mra_modes:.3f | transitions=mra_transitions:.3f | '
+  'survival=survival_modes:.3f | transitions=survival_transitions:.3f | '
+  'worst transition=worst_transitions'
+)
 _PUSH_PERIOD = 1.0  # Seconds.
 
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-  """One way to make it harder.
+  """Makes it harder: an edge is farther, m; pushes are in m/s once a second.
 
-  Attributes:
-    physics_timestep: seconds; None for that of the training.
-    edge: how much farther the edges of blocks are, metres.
-    mass: factor of all masses and inertias.
-    friction: factor of all sliding friction.
-    push: change of the trunk's velocity once a second, m/s.
-    obstacles: share of the commands that meet an obstacle, see
-      `suite.imitation.obstacles`.
+  Mass and friction are factors of all; obstacles are the share of the commands
+  that meet one. No physics timestep is that of the training.
   """
 
   physics_timestep: float | None = None
@@ -168,73 +165,41 @@ class Evaluator(evaluator_lib.Evaluator):
 
 def judge(
   name: str, policy: pretrained.Policy, episodes: int, seed: int
-) -> Row:
+) -> common.Row:
   """Returns the scores of `policy` in a case."""
-  evaluator = Evaluator(CASES[name], policy, seed)
-  modes = scores.evaluate_modes(
-    evaluator, scores.MODE_FACTOR * episodes, clock_rate=1.0
-  )
-  transitions = scores.evaluate_transitions(evaluator, episodes)
-  row: Row = {'name': name}
-  for kind, found in (('modes', modes), ('transitions', transitions)):
-    for key in ('mra', 'survival'):
-      values = {case: result[key] for case, result in found.items()}
-      row[f'{key}_{kind}'] = float(np.mean(list(values.values())))
-    row[f'worst_{kind}'] = min(found, key=lambda case: found[case]['mra'])
-  return row
-
-
-def _line(row: Row) -> str:
-  return (
-    f'{row["name"]:20}{row["mra_modes"]:9.3f}{row["mra_transitions"]:13.3f}'
-    f'{row["survival_modes"]:10.3f}{row["survival_transitions"]:13.3f}'
-    f'  {row["worst_transitions"]}'
-  )
-
-
-def _chosen() -> list[str]:
-  """Returns the names of --cases; raises ValueError if one is unknown."""
-  known = list(CASES)
-  names = _CASES.value or known
-  for name in names:
-    if name not in known:
-      raise ValueError(f'--cases: {name!r} is not one of {", ".join(known)}.')
-  return list(dict.fromkeys(names))
-
-
-def _write(out: pathlib.Path | None, rows: Sequence[Row]) -> None:
-  report = {
-    'benchmark': 'robustness',
-    'table': list(rows),
-    'policy': _POLICY.value,
-    'episodes': _EPISODES.value,
-    'seed': _SEED.value,
+  case = Evaluator(CASES[name], policy, seed)
+  judged = {
+    'modes': scores.evaluate_modes(case, scores.MODE_FACTOR * episodes, 1.0),
+    'transitions': scores.evaluate_transitions(case, episodes),
   }
-  common.write_report(out, report)
+  row: common.Row = {'name': name}
+  for kind, found in judged.items():
+    for key in ('mra', 'survival'):
+      row[f'{key}_{kind}'] = float(np.mean([r[key] for r in found.values()]))
+    row[f'worst_{kind}'] = min(found, key=lambda label: found[label]['mra'])
+  return row
 
 
 def main(argv: Sequence[str]) -> None:
   """Evaluates, prints, writes."""
   del argv
-  out, names = files.output_file('out', _OUT.value), _chosen()
+  out, names = files.output_file('out', _OUT.value), _CASES.value or [*CASES]
+  for name in names:
+    if name not in CASES:
+      raise ValueError(f'--cases: {name!r} is not one of {", ".join(CASES)}.')
   policy = pretrained.load(_POLICY.value)
   print(f'{_POLICY.value}, mujoco {mujoco.__version__}')
-  rows: list[Row] = []
-  for name in tqdm.tqdm(names, unit='case'):
+  rows: list[common.Row] = []
+  for name in tqdm.tqdm(dict.fromkeys(names), unit='case'):
     rows.append(judge(name, policy, _EPISODES.value, _SEED.value))
-    tqdm.tqdm.write(_line(rows[-1]), sys.stderr)
-    _write(out, rows)
-  print(
-    f'{"":20}{"MRA modes":>9}{"transitions":>13}{"survival":>10}'
-    f'{"transitions":>13}  worst transition'
-  )
-  for row in rows:
-    print(_line(row))
+    common.show(_COLUMNS, rows[-1])
+    report = {'benchmark': 'robustness', 'table': rows}
+    report |= {'policy': _POLICY.value, 'episodes': _EPISODES.value}
+    common.write_report(out, {**report, 'seed': _SEED.value})
+  common.print_table(_COLUMNS, rows)
 
 
-def cli() -> None:
-  """Runs."""
-  app.run(main)
+cli = functools.partial(app.run, main)
 
 
 if __name__ == '__main__':

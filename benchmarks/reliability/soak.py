@@ -18,6 +18,7 @@ system. Ends with 3 where something grew or warned.
 """
 
 import contextlib
+import functools
 import gc
 import os
 import pathlib
@@ -32,6 +33,7 @@ import numpy as np
 import torch
 import tqdm
 
+import dmc_multimode
 from dmc_multimode.bin import app
 from dmc_multimode.utils import files
 from dmc_multimode.viewer import gl
@@ -58,86 +60,74 @@ _MIB = 1 << 20
 _LOOKS = 50  # At the memory, in a part.
 _SIZE = 64  # Pixels of a recording.
 
+_COLUMNS = (
+  'part | done=amount | seconds:.0f | MiB early=memory_early:.1f | '
+  'late=memory_late:.1f | growth:.1f | warnings:d | files=descriptors:d | '
+  'threads:d | contexts:d'
+)
+
 Row = dict[str, Any]
 
 
-class _Watch:
-  """Looks at memory and listens to warnings while something runs."""
+@contextlib.contextmanager
+def _listening(heard: list[str]) -> Iterator[None]:
+  """Collects the warnings of Python and of MuJoCo."""
+  mujoco.set_mju_user_warning(heard.append)
+  try:
+    with warnings.catch_warnings(record=True) as caught:
+      warnings.simplefilter('always')
+      yield
+    heard += [f'{w.category.__name__}: {w.message}' for w in caught]
+  finally:
+    mujoco.set_mju_user_warning(None)
 
-  def __init__(self) -> None:
-    self.memory: list[float] = []
-    self.warnings: list[str] = []
 
-  @contextlib.contextmanager
-  def listening(self) -> Iterator[None]:
-    """Collects the warnings of Python and of MuJoCo."""
-    mujoco.set_mju_user_warning(self.warnings.append)
-    try:
-      with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter('always')
-        yield
-      self.warnings += [f'{w.category.__name__}: {w.message}' for w in caught]
-    finally:
-      mujoco.set_mju_user_warning(None)
-
-  def look(self) -> None:
-    """Notes the resident set, MiB."""
-    gc.collect()
-    with open('/proc/self/statm', encoding='ascii') as file:
-      pages = int(file.read().split()[1])
-    self.memory.append(pages * os.sysconf('SC_PAGE_SIZE') / _MIB)
-
-  def row(self, name: str, amount: str, seconds: float) -> Row:
-    """Returns what was seen."""
-    fifth = max(len(self.memory) // 5, 1)
-    early = float(np.median(self.memory[fifth : 2 * fifth]))
-    late = float(np.median(self.memory[-fifth:]))
-    return {
-      'part': name,
-      'amount': amount,
-      'seconds': seconds,
-      'memory_early': early,
-      'memory_late': late,
-      'growth': late - early,
-      'warnings': len(self.warnings),
-      'first_warnings': self.warnings[:5],
-      'descriptors': len(os.listdir('/proc/self/fd')),
-      'threads': len(os.listdir('/proc/self/task')),
-      'contexts': sum(
-        type(found) is mujoco.MjrContext for found in gc.get_objects()
-      ),
-    }
+def _resident() -> float:
+  """Returns the resident set, MiB."""
+  pages = int(pathlib.Path('/proc/self/statm').read_text('ascii').split()[1])
+  return pages * os.sysconf('SC_PAGE_SIZE') / _MIB
 
 
 def _run(name: str, total: float, advance: Callable[[], float]) -> Row:
   """Advances until `total` is reached; returns the row of the table."""
-  watch, done, began = _Watch(), 0.0, time.monotonic()
-  looks = 0
-  with watch.listening(), tqdm.tqdm(total=total, desc=name) as bar:
+  done, began = 0.0, time.monotonic()
+  memory: list[float] = []
+  heard: list[str] = []
+  with _listening(heard), tqdm.tqdm(total=total, desc=name) as bar:
     while done < total:
       step = advance()
       done += step
       bar.update(min(step, total - bar.n))
-      if done * _LOOKS >= looks * total:
-        watch.look()
-        looks += 1
-  seconds = time.monotonic() - began
-  return watch.row(name, f'{done:,.0f}', seconds)
+      if done * _LOOKS >= len(memory) * total:
+        gc.collect()
+        memory.append(_resident())
+  fifth = max(len(memory) // 5, 1)
+  early = float(np.median(memory[fifth : 2 * fifth]))
+  late = float(np.median(memory[-fifth:]))
+  contexts = [type(x) is mujoco.MjrContext for x in gc.get_objects()]
+  return {
+    'part': name,
+    'amount': f'{done:,.0f}',
+    'seconds': time.monotonic() - began,
+    'memory_early': early,
+    'memory_late': late,
+    'growth': late - early,
+    'warnings': len(heard),
+    'first_warnings': heard[:5],
+    'descriptors': len(os.listdir('/proc/self/fd')),
+    'threads': len(os.listdir('/proc/self/task')),
+    'contexts': sum(contexts),
+  }
 
 
-def soak_worlds() -> Row:
+def soak_worlds(policy: Any) -> Row:
   """Steps BatchedImitation on random tracks."""
-  from dmc_multimode import pretrained
-  from dmc_multimode.suite import multimode_biped
-  from dmc_multimode.suite.imitation import batched_env
-
-  policy = pretrained.load(_POLICY.value)
-  worlds = batched_env.BatchedImitation(
-    multimode_biped.make_task(
-      policy.mode_set, arena='parkour', config=policy.config
-    ),
+  worlds = dmc_multimode.make_worlds(
+    policy,
     _NUM_WORLDS.value,
     _SEED.value,
+    policy.config,
+    'parkour',
     _THREADS.value,
   )
   seen = [worlds.reset()]
@@ -149,34 +139,29 @@ def soak_worlds() -> Row:
   return _run('BatchedImitation, steps', _STEPS.value, advance)
 
 
-def soak_composer() -> Row:
+def soak_composer(policy: Any) -> Row:
   """Steps the Composer task for so many minutes."""
-  from dmc_multimode import pretrained
   from dmc_multimode.suite import multimode_biped
 
-  policy = pretrained.load(_POLICY.value)
   task = multimode_biped.make_task(policy.mode_set, config=policy.config)
   environment = multimode_biped.make_environment(task, random=_SEED.value)
-  now = [time.monotonic()]
   timestep = [environment.reset()]
 
   def advance() -> float:
+    began = time.monotonic()
     if timestep[0].last():
       timestep[0] = environment.reset()
     action = policy.actor.select_action(timestep[0].observation)
     timestep[0] = environment.step(action)
-    before, now[0] = now[0], time.monotonic()
-    return now[0] - before
+    return time.monotonic() - began
 
   return _run('Composer, seconds', 60 * _MINUTES.value, advance)
 
 
-def soak_recordings() -> Row:
+def soak_recordings(policy: Any) -> Row:
   """Makes one video after the other."""
-  from dmc_multimode import pretrained
   from dmc_multimode.viewer import recording
 
-  policy = pretrained.load(_POLICY.value)
   what = [(policy.mode_set.names[0], 0.12)]
   config = recording.RecordingConfig(width=_SIZE, height=_SIZE)
   with tempfile.TemporaryDirectory() as folder:
@@ -204,20 +189,6 @@ def _problems(rows: Sequence[Row]) -> list[str]:
   return found
 
 
-def _print(rows: Sequence[Row]) -> None:
-  print(
-    f'{"part":26}{"done":>12}{"seconds":>9}{"MiB early":>11}{"late":>8}'
-    f'{"growth":>8}{"warnings":>10}{"files":>7}{"threads":>9}{"contexts":>10}'
-  )
-  for row in rows:
-    print(
-      f'{row["part"]:26}{row["amount"]:>12}{row["seconds"]:9.0f}'
-      f'{row["memory_early"]:11.1f}{row["memory_late"]:8.1f}'
-      f'{row["growth"]:8.1f}{row["warnings"]:10}{row["descriptors"]:7}'
-      f'{row["threads"]:9}{row["contexts"]:10}'
-    )
-
-
 def main(argv: Sequence[str]) -> int:
   """Runs the parts, prints, writes."""
   del argv
@@ -232,28 +203,19 @@ def main(argv: Sequence[str]) -> int:
     (_MINUTES.value, soak_composer),
     (_RECORDINGS.value, soak_recordings),
   )
-  rows = [part() for wanted, part in parts if wanted]
-  _print(rows)
+  policy = dmc_multimode.load_policy(_POLICY.value)
+  rows = [part(policy) for wanted, part in parts if wanted]
+  common.print_table(_COLUMNS, rows)
   problems = _problems(rows)
   print('\n'.join(problems) or 'Nothing grew, nothing warned.')
-  common.write_report(
-    out,
-    {
-      'benchmark': 'soak',
-      'table': rows,
-      'problems': problems,
-      'policy': _POLICY.value,
-      'num_worlds': _NUM_WORLDS.value,
-      'threads': _THREADS.value,
-      'seed': _SEED.value,
-    },
-  )
+  report = {'benchmark': 'soak', 'table': rows, 'problems': problems}
+  for flag in (_POLICY, _NUM_WORLDS, _THREADS, _SEED):
+    report[flag.name] = flag.value
+  common.write_report(out, report)
   return app.EXIT_UNSOLVED if problems else 0
 
 
-def cli() -> None:
-  """Runs."""
-  app.run(main)
+cli = functools.partial(app.run, main)
 
 
 if __name__ == '__main__':

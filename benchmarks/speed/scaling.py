@@ -11,31 +11,30 @@ iteration follow from the network and the number of minibatches, and the time of
 a reduction from the network's bandwidth and latency. See docs/SCALING.md.
 """
 
-import csv
+import functools
 import os
 import pathlib
-import statistics
 import subprocess
 import sys
 import tempfile
 from typing import Any, Sequence
 
 from absl import flags
+import numpy as np
 
 from benchmarks import common
 from dmc_multimode.agents.ppo import networks
 from dmc_multimode.bin import app
+from dmc_multimode.experiments import config as run_config
 from dmc_multimode.utils import files
 
 _PROCESSES = flags.DEFINE_list('processes', ['1', '2'], 'How many, in turn.')
-_MODES = flags.DEFINE_string('modes', 'pi2', 'What is trained.')
-_NUM_WORLDS = flags.DEFINE_integer('num_worlds', 1024, 'Of all processes.', 1)
 _STEPS = flags.DEFINE_integer('steps', 400_000, 'Control steps of each run.', 1)
 _CORES_EACH = flags.DEFINE_integer(
   'cores_each', 0, 'Threads of each process; 0 to share all cores.', 0
 )
 _MODEL_ONLY = flags.DEFINE_bool('model_only', False, 'Measure nothing.')
-_OUT = flags.DEFINE_string('out', None, 'JSON file to write.')
+_OUT = common.define_out()
 # Of the model.
 _NODES = flags.DEFINE_list('nodes', ['1', '2', '10', '100'], 'Of the model.')
 _NODE_SPEED = flags.DEFINE_float(
@@ -50,10 +49,14 @@ _FLOAT = 4  # Bytes.
 _REDUCTIONS_BESIDES = 16  # Small ones in an iteration: statistics, agreements.
 _LATENT, _STATE, _PRIVILEGED, _ACTIONS = 4, 33, 13, 10  # Sizes, with 4 latents.
 
-Row = dict[str, Any]
+_MEASURED = 'processes:d | steps/s=speed:.0f | spread:.0f | ratio:.2f'
+_MODEL = (
+  'nodes:d | worlds | MB sent=megabytes:.2f | work s=work_seconds:.4f | '
+  'talk s=talk_seconds:.4f | steps/s=steps_per_second:.0f | efficiency:.2f'
+)
 
 
-def _train(processes: int, folder: pathlib.Path) -> list[float]:
+def _train(processes: int, folder: pathlib.Path) -> np.ndarray:
   """Trains; returns the speeds that were logged, control steps per second."""
   threads = _CORES_EACH.value or max(common.CORES // processes, 1)
   run_dir = folder / str(processes)
@@ -62,8 +65,6 @@ def _train(processes: int, folder: pathlib.Path) -> list[float]:
     *('-m', 'torch.distributed.run', '--standalone'),
     f'--nproc_per_node={processes}',
     *('-m', 'dmc_multimode.bin.train', f'--run_dir={run_dir}', '--one_hot'),
-    f'--modes={_MODES.value}',
-    f'--num_worlds={_NUM_WORLDS.value}',
     f'--steps={_STEPS.value}',
     f'--threads={threads}',
     *_given_run_flags(),
@@ -73,20 +74,20 @@ def _train(processes: int, folder: pathlib.Path) -> list[float]:
   )
   if done.returncode:
     raise ValueError(f'{processes} processes: {done.stderr[-2000:]}')
-  with open(run_dir / 'metrics.csv', newline='', encoding='utf-8') as file:
-    rows = list(csv.DictReader(file))
-  if len(rows) < 2:
+  speeds = np.genfromtxt(run_dir / 'metrics.csv', delimiter=',', names=True)
+  found = np.atleast_1d(speeds['steps_per_second'])[1:]
+  if not len(found):
     raise ValueError('--steps are too few for two rows in the log.')
-  return [float(row['steps_per_second']) for row in rows[1:]]
+  return found
 
 
 def _given_run_flags() -> list[str]:
-  """Returns the --ppo_*, --sampling_* and --task_* of this command line."""
-  parts = ('ppo_', 'sampling_', 'task_')
+  """Returns what of this command line is of the training."""
+  parts, always = ('ppo_', 'sampling_', 'task_'), ('modes', 'num_worlds')
   return [
     flags.FLAGS[name].serialize()
     for name in flags.FLAGS
-    if name.startswith(parts) and flags.FLAGS[name].present
+    if name in always or (name.startswith(parts) and flags.FLAGS[name].present)
   ]
 
 
@@ -103,7 +104,7 @@ def parameters(hidden_sizes: tuple[int, ...]) -> dict[str, int]:
   return {'policy': count(network) - value, 'value': value}
 
 
-def model(nodes: int, config: Any, worlds: int) -> Row:
+def model(nodes: int, config: Any, worlds: int) -> common.Row:
   """Returns what an iteration costs in so many nodes, one rank each.
 
   A ring reduces n bytes in 2 (N - 1) messages of n / N bytes each.
@@ -143,47 +144,33 @@ def _numbers(flag: flags.FlagHolder[list[str]]) -> list[int]:
   return values
 
 
-def _measure() -> list[Row]:
-  rows: list[Row] = []
-  print(f'{common.CORES} cores, {_NUM_WORLDS.value} worlds in all')
-  print(f'{"processes":>10}{"steps/s":>10}{"spread":>10}{"ratio":>8}')
+def _measure() -> list[common.Row]:
+  rows: list[common.Row] = []
   with tempfile.TemporaryDirectory() as folder:
     for processes in _numbers(_PROCESSES):
       speeds = _train(processes, pathlib.Path(folder))
-      speed = statistics.mean(speeds)
-      spread = statistics.pstdev(speeds)
-      rows.append({'processes': processes, 'speed': speed, 'spread': spread})
-      ratio = speed / rows[0]['speed']
-      print(
-        f'{processes:10}{speed:10.0f}{spread:10.0f}{ratio:8.2f}', flush=True
-      )
+      row = {'processes': processes, 'speed': float(speeds.mean())}
+      basis = rows[0]['speed'] if rows else row['speed']
+      row |= {'spread': float(speeds.std()), 'ratio': row['speed'] / basis}
+      rows.append(row)
+  common.print_table(_MEASURED, rows)
   return rows
 
 
-def _compute() -> list[Row]:
+def _compute(config: run_config.RunConfig) -> list[common.Row]:
   """Strong scaling, with the worlds given; and weak, with as many a node."""
-  config = common.configured().ppo
-  sizes = parameters(config.hidden_sizes)
+  ppo, sizes = config.ppo, parameters(config.ppo.hidden_sizes)
   print(
     f'\nOn paper: {sizes["policy"]:,} parameters of the policy and '
-    f'{sizes["value"]:,} of the value; {config.epochs} x {config.minibatches} '
+    f'{sizes["value"]:,} of the value; {ppo.epochs} x {ppo.minibatches} '
     'minibatches an iteration'
   )
-  print(
-    f'{"nodes":>6}{"worlds":>9}{"MB sent":>9}{"work s":>9}{"talk s":>9}'
-    f'{"steps/s":>11}{"efficiency":>12}'
-  )
-  rows = []
-  for is_weak in (False, True):
-    for nodes in _numbers(_NODES):
-      worlds = _NUM_WORLDS.value * (nodes if is_weak else 1)
-      row = model(nodes, config, worlds)
-      rows.append(row)
-      print(
-        f'{nodes:6}{worlds:9}{row["megabytes"]:9.2f}{row["work_seconds"]:9.4f}'
-        f'{row["talk_seconds"]:9.4f}{row["steps_per_second"]:11.0f}'
-        f'{row["efficiency"]:12.2f}'
-      )
+  rows = [
+    model(nodes, ppo, config.num_worlds * (nodes if is_weak else 1))
+    for is_weak in (False, True)
+    for nodes in _numbers(_NODES)
+  ]
+  common.print_table(_MODEL, rows)
   return rows
 
 
@@ -191,14 +178,14 @@ def main(argv: Sequence[str]) -> None:
   """Measures, computes, prints, writes."""
   del argv
   out = files.output_file('out', _OUT.value)
+  config = common.configured()
+  print(common.describe(config))
   measured = [] if _MODEL_ONLY.value else _measure()
-  report = {'measured': measured, 'model': _compute()}
+  report = {'measured': measured, 'model': _compute(config)}
   common.write_report(out, {'benchmark': 'scaling', **report})
 
 
-def cli() -> None:
-  """Runs."""
-  app.run(main)
+cli = functools.partial(app.run, main)
 
 
 if __name__ == '__main__':

@@ -13,9 +13,15 @@ reproduce = modules.load('paper.reproduce')
 def test_every_shipped_policy_is_evaluated() -> None:
   parts = {part.name: part for part in reproduce.parts(2)}
   assert set(pretrained.names()) <= set(parts)
-  assert parts['pi2'].needs == ('pi2',)
-  assert '--episodes=2' in parts['pi2'].command
-  assert parts['curves_pi2'].needs == ('pi2', 'pi2_uniform')
+  assert parts['pi2'].needs == {'pi2'}
+  assert '--episodes=2' in parts['pi2'].words.split()
+  assert parts['planning'].needs == {'pi2'}
+  assert parts['switching'].needs == {
+    'pi2',
+    'unimodal_walk',
+    'unimodal_launch',
+  }
+  assert parts['curves_pi2'].needs == {'pi2', 'pi2_uniform'}
 
 
 def test_runs_leave_a_log(tmp_path: pathlib.Path) -> None:
