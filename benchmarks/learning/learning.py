@@ -88,7 +88,7 @@ class Result(NamedTuple):
   learning: list[Row]
 
 
-class _Evaluator(scoring.Evaluator):
+class _Evaluator(evaluator_lib.Evaluator):
   """Lets a policy that remembers know when episodes begin."""
 
   policy: learners.Learner

@@ -1,6 +1,6 @@
 """Plans across the paper's tracks (Table III), and random ones.
 
-    python -m benchmarks.paper.planning --policy=pi2 --out=solver_lib.json
+    python -m benchmarks.paper.planning --policy=pi2 --out=planning.json
 
 Every track of the paper is planned for from `--seeds` starts, which differ in
 the noise on joints, tilt and velocities; then `--random` tracks with a gap, a
@@ -100,7 +100,7 @@ def summary(rows: Sequence[Row]) -> Row:
   }
 
 
-def _planners() -> dict[str, planning.PlannerConfig]:
+def _planners() -> dict[str, solver_lib.PlannerConfig]:
   """Returns --planners; raises ValueError if one is unknown."""
   known: dict[str, solver_lib.PlannerConfig] = {
     'beam': beam_search.BeamConfig(_BEAMS.value),
