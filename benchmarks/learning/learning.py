@@ -89,7 +89,7 @@ class Result(NamedTuple):
 
 
 class _Evaluator(evaluator_lib.Evaluator):
-  """Lets a policy that remembers know when episodes begin."""
+  """Tells a policy that remembers when episodes begin."""
 
   policy: learners.Learner
 

@@ -171,7 +171,7 @@ def as_user(user: int) -> None:
 
 
 def clock_jumps(seed: int) -> None:
-  """Lets the clock on the wall jump by years, the other leap by hours."""
+  """Makes the clock on the wall jump by years, the other leap by hours."""
   jumps, wall, monotonic = random.Random(seed), time.time, time.monotonic
   leapt = [0.0]
 
