@@ -70,6 +70,12 @@ def show(columns: str, row: Mapping[str, Any]) -> None:
   tqdm.tqdm.write(line(columns, row), sys.stderr)
 
 
+def define_policy() -> flags.FlagHolder[str]:
+  """Defines --policy."""
+  text = 'Name of a shipped policy, or a folder.'
+  return flags.DEFINE_string('policy', 'pi2', text)
+
+
 def define_out() -> flags.FlagHolder[str | None]:
   """Defines --out."""
   return flags.DEFINE_string('out', None, 'JSON file to write.')

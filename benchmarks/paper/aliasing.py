@@ -49,20 +49,10 @@ def profiles(
   episodes: int,
   seed: int,
 ) -> dict[str, np.ndarray]:
-  """Returns mean heights of the trunk over time.
+  """Returns mean heights of the trunk over time, in so many episodes a mode.
 
-  Args:
-    policy: knows the modes.
-    modes: names, M of them.
-    episodes: of each.
-    seed: of the initial states.
-
-  Returns:
-    Heights over the support, metres, of the robot and of the reference,
-    [M, T] each; a robot that falls counts where it lies.
-
-  Raises:
-    ValueError: the policy does not know a mode.
+  Heights are over the support, metres, of the robot and of the reference,
+  [M, T] each; a robot that falls counts where it lies.
   """
   config = dataclasses.replace(
     policy.config, events=events.NONE, limits=terminations.NO_LIMITS

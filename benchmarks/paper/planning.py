@@ -37,9 +37,7 @@ from dmc_multimode.planner import solver as solver_lib
 from dmc_multimode.suite.reaching import problem as reaching
 from dmc_multimode.utils import files
 
-_POLICY = flags.DEFINE_string(
-  'policy', 'pi2', 'Name of a shipped policy, or a folder.'
-)
+_POLICY = common.define_policy()
 _PLANNERS = flags.DEFINE_list('planners', ['beam', 'q_learning'], 'Which.')
 _SEEDS = flags.DEFINE_integer('seeds', 5, 'Starts on each track.', 0)
 _RANDOM = flags.DEFINE_integer(

@@ -36,9 +36,7 @@ from dmc_multimode.suite.imitation import mujoco_worlds
 from dmc_multimode.utils import files
 from dmc_multimode.utils import schedule as schedules
 
-_POLICY = flags.DEFINE_string(
-  'policy', 'pi2', 'Name of a shipped policy, or a folder.'
-)
+_POLICY = common.define_policy()
 _CASES = flags.DEFINE_list('cases', None, 'Names; all by default.')
 _EPISODES = flags.DEFINE_integer(
   'episodes', 4, 'Like those of `evaluate`.', lower_bound=1

@@ -107,12 +107,8 @@ def parameters(hidden_sizes: tuple[int, ...]) -> dict[str, int]:
 def model(nodes: int, config: Any, worlds: int) -> common.Row:
   """Returns what an iteration costs in so many nodes, one rank each.
 
-  A ring reduces n bytes in 2 (N - 1) messages of n / N bytes each.
-
-  Args:
-    nodes: N.
-    config: of PPO.
-    worlds: of all nodes together.
+  A ring reduces n bytes in 2 (N - 1) messages of n / N bytes each; `worlds` are
+  those of all nodes.
   """
   sizes = parameters(config.hidden_sizes)
   count = config.epochs * config.minibatches
