@@ -217,13 +217,7 @@ class Run:
 
 
 class Reference:
-  """Trains undisturbed.
-
-  Attributes:
-    states: hash of everything that a checkpoint holds, by control steps.
-    rows: of the log, without the speed.
-    seconds: from start to end.
-  """
+  """Trains undisturbed: hashes by control steps, rows of the log, seconds."""
 
   def __init__(self, work: pathlib.Path, lasting: Hooks):
     """Trains with the hooks `lasting`."""

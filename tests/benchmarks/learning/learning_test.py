@@ -148,22 +148,6 @@ def test_all_have_networks_and_hyperparameters_alike() -> None:
     np.testing.assert_allclose(std.detach(), _PPO.initial_std, rtol=1e-6)
 
 
-def test_timing_leaves_no_trace() -> None:
-  class Sleeper:
-    def sleep(self, fail: bool = False) -> str:
-      if fail:
-        raise ValueError
-      return 'slept'
-
-  sleep = Sleeper.sleep
-  with learners.timing(((Sleeper, 'sleep'),)) as spent:
-    assert Sleeper().sleep() == 'slept'
-    with pytest.raises(ValueError):
-      Sleeper().sleep(fail=True)
-  assert len(spent) == 2
-  assert Sleeper.sleep is sleep
-
-
 # The benchmark, in processes of its own: flags are global.
 
 _TINY = (
