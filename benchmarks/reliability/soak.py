@@ -145,15 +145,15 @@ def soak_composer(policy: Any) -> Row:
 
   task = multimode_biped.make_task(policy.mode_set, config=policy.config)
   environment = multimode_biped.make_environment(task, random=_SEED.value)
-  timestep = [environment.reset()]
+  timestep, now = [environment.reset()], [time.monotonic()]
 
   def advance() -> float:
-    began = time.monotonic()
     if timestep[0].last():
       timestep[0] = environment.reset()
     action = policy.actor.select_action(timestep[0].observation)
     timestep[0] = environment.step(action)
-    return time.monotonic() - began
+    before, now[0] = now[0], time.monotonic()
+    return now[0] - before
 
   return _run('Composer, seconds', 60 * _MINUTES.value, advance)
 
