@@ -45,7 +45,7 @@ def line(columns: str, row: Mapping[str, Any]) -> str:
       default the key, and the first column is a name.
     row: values by key.
   """
-  cells = []
+  cells: list[str] = []
   for title, key, form in _parsed(columns):
     values = row[key] if isinstance(row[key], list) else [row[key]]
     text = ' to '.join(format(x, form) for x in values if x is not None)

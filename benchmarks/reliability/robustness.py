@@ -191,7 +191,7 @@ def main(argv: Sequence[str]) -> None:
   for name in tqdm.tqdm(dict.fromkeys(names), unit='case'):
     rows.append(judge(name, policy, _EPISODES.value, _SEED.value))
     common.show(_COLUMNS, rows[-1])
-    report = {'benchmark': 'robustness', 'table': rows}
+    report: common.Row = {'benchmark': 'robustness', 'table': rows}
     report |= {'policy': _POLICY.value, 'episodes': _EPISODES.value}
     common.write_report(out, {**report, 'seed': _SEED.value})
   common.print_table(_COLUMNS, rows)

@@ -208,7 +208,7 @@ def main(argv: Sequence[str]) -> int:
   common.print_table(_COLUMNS, rows)
   problems = _problems(rows)
   print('\n'.join(problems) or 'Nothing grew, nothing warned.')
-  report = {'benchmark': 'soak', 'table': rows, 'problems': problems}
+  report: Row = {'benchmark': 'soak', 'table': rows, 'problems': problems}
   for flag in (_POLICY, _NUM_WORLDS, _THREADS, _SEED):
     report[flag.name] = flag.value
   common.write_report(out, report)
