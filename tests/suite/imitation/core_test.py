@@ -142,7 +142,7 @@ def test_feet_stand_where_the_reference_stands(starts: _Starts) -> None:
 def test_one_foot_swings_where_the_reference_s_does(starts: _Starts) -> None:
   """Up to 6 cm high, and past the foot that stands as the trunk is."""
   swinging = starts.swinging
-  walking: np.ndarray = swinging.any(axis=1)
+  walking = np.asarray(swinging.any(axis=1))
   walks = {f'walk_{d}' for d in ('forward', 'backward', 'left', 'right')}
   assert starts.names(walking) == walks | {'turn_left', 'turn_right'}
   np.testing.assert_array_equal(swinging.sum(axis=1), walking)
