@@ -57,8 +57,9 @@ demo: setup
 	@echo "The videos are modes.mp4 and demo.mp4, the plan is plan.json and" \
 	  "plan.png, all in $(CURDIR)/$(OUT)"
 
+# A file stays in one process: fixtures of a module are made once.
 test: lint
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n auto --dist loadfile $(PYTEST_ARGS)
 
 lint: setup
 	$(BIN)/ruff check .
