@@ -11,7 +11,6 @@ from dmc_multimode.modes import reference
 from dmc_multimode.utils import constants
 
 POSITION = slice(0, 3)  # Columns of the features.
-ORIENTATION = slice(3, 7)
 _NUM_POSE_FEATURES = 7
 
 
