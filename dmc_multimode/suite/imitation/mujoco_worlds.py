@@ -4,6 +4,8 @@ The model is compiled from the arena and walker of a Composer task. Each world
 has a pool of mocap boxes, which are the segments of its ground.
 """
 
+from typing import Mapping, Sequence
+
 import mujoco
 from mujoco import batch as mujoco_batch
 import numpy as np
@@ -58,6 +60,8 @@ class MujocoWorlds:
     self._mocap_pos = self.batch.bind('mocap_pos')
     self._bvhs = model.body_bvhadr[bodies]
     self._sizes = {name: self.batch.expand(name) for name in _SIZES}
+    self._recorded: dict[str, np.ndarray] = {}
+    self._records: dict[str, np.ndarray] = {}
 
   @property
   def state(self) -> np.ndarray:
@@ -85,10 +89,50 @@ class MujocoWorlds:
     """
     np.clip(actions, bounds[0], bounds[1], out=self._ctrl)
     try:
-      self.batch.step(ids=moving, nstep=num)
+      if self._recorded:
+        self._step_and_record(moving, num)
+      else:
+        self.batch.step(ids=moving, nstep=num)
     except mujoco_batch.SimulationError as error:
       return np.asarray(error.ids)
     return np.zeros(0, dtype=np.int64)
+
+  def record(self, fields: Sequence[str]) -> None:
+    """Records fields of MjData after every physics step from now on.
+
+    The physics stays the same to the bit. As after any step of MuJoCo, `qpos`
+    and `qvel` are those at its end, and what is derived from them, such as
+    forces and places of sites, that at its beginning.
+
+    Args:
+      fields: names; none ends the recording.
+    """
+    data = mujoco.MjData(self.model)
+    self._recorded = {name: np.array(getattr(data, name)) for name in fields}
+
+  @property
+  def records(self) -> Mapping[str, np.ndarray]:
+    """Records of the last control step by field, [B, physics steps, ...].
+
+    Those of a world that was not stepped are zero.
+    """
+    return self._records
+
+  def _step_and_record(self, moving: np.ndarray, num: int) -> None:
+    def zeros(count: int) -> dict[str, np.ndarray]:
+      return {
+        name: np.zeros((count, num, *field.shape), field.dtype)
+        for name, field in self._recorded.items()
+      }
+
+    # Filled in place, so that a world that diverges takes no record away.
+    rows = zeros(np.count_nonzero(moving))
+    try:
+      self.batch.rollout(num, record=[*rows], ids=moving, out=rows)
+    finally:
+      self._records = rows if moving.all() else zeros(len(moving))
+      for name, row in rows.items():
+        self._records[name][moving] = row
 
   def move_boxes(self, ids: np.ndarray, terrain: terrain_lib.Terrain) -> None:
     """Moves the boxes of the worlds `ids` to the segments of N terrains."""

@@ -278,6 +278,26 @@ def test_worlds_do_not_know_of_each_other() -> None:
       assert single.reward[0] == step.reward[world]
 
 
+def test_records_of_every_physics_step() -> None:
+  """Recording changes nothing, and is what single physics steps show."""
+  plain, fine, worlds = (_begin(_transitions(), 3) for _ in range(3))
+  worlds.physics.record(['qpos', 'actuator_force'])
+  bounds = np.array([[-4.0], [4.0]])
+  for moving in ([True, True, True], [True, False, True]):
+    plain.moving[:] = worlds.moving[:] = moving
+    action = worlds.standing_action() + np.array([[0.1], [0.2], [0.3]])
+    _assert_same([worlds.step(action)], [plain.step(action)])
+    records = worlds.physics.records
+    for k in range(worlds.config.substeps):
+      fine.physics.step(action, bounds, np.array(moving), 1)
+      expected = np.where(np.array(moving)[:, None], fine.qpos, 0)
+      np.testing.assert_array_equal(records['qpos'][:, k], expected)
+  assert records['actuator_force'].shape == (3, worlds.config.substeps, 10)
+  worlds.qvel[0, 8] = np.inf
+  assert worlds.step(action).results.causes == [worlds.invalid_cause]
+  assert np.isfinite(worlds.physics.records['qpos'][2]).all()
+
+
 # --- Ends of episodes.
 
 
