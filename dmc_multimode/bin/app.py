@@ -93,12 +93,18 @@ def _parse_flags(args: Sequence[str]) -> list[str]:
     rest: list[str] = flags.FLAGS(args)
     return rest
   except flags.UnrecognizedFlagError as error:
-    now = config_flags.RENAMED.get(error.flagname)
-    if now is None:
-      sys.exit(_report(error))
-    sys.exit(_report(flags.Error(f'--{error.flagname} is now --{now}')))
+    sys.exit(_report(_old_flag_error(error)))
   except flags.Error as error:
     sys.exit(_report(error))
+
+
+def _old_flag_error(error: flags.UnrecognizedFlagError) -> flags.Error:
+  """Returns the error of a flag of an earlier version, or `error` itself."""
+  name = error.flagname
+  if name in config_flags.RENAMED:
+    return flags.Error(f'--{name} is now --{config_flags.RENAMED[name]}')
+  reason = config_flags.REMOVED.get(name.removeprefix('no'))
+  return flags.Error(f'--{name} is gone: {reason}') if reason else error
 
 
 def find_flagfiles(argv: Sequence[str]) -> list[str]:

@@ -51,6 +51,9 @@ RENAMED = {
   'task_edge_noise': 'task_events_edge_noise',
 }
 
+# Former names of flags without a replacement -> the reason, for the error.
+REMOVED = {'ppo_compile': 'torch.compile made trainings no faster'}
+
 
 class _Parser(flags.ArgumentParser):
   """Parser of a flag for a field of a configuration."""

@@ -102,6 +102,7 @@ def test_arguments_that_are_no_flags(binary: Binary) -> None:
       '--task_push_speed=0.5',
       '--task_push_speed is now --task_events_push_speed=0:SPEED@START',
     ),
+    ('--noppo_compile', '--noppo_compile is gone: torch.compile made'),
   ],
 )
 def test_wrong_flags(binary: Binary, flag: str, line: str) -> None:

@@ -108,4 +108,7 @@ def test_configuration_round_trip() -> None:
       activation='elu',
     )
   )
-  assert run_config.from_dict(run_config.to_dict(config)) == config
+  values = run_config.to_dict(config)
+  assert run_config.from_dict(values) == config
+  values['ppo']['compile'] = True  # A field that was.
+  assert run_config.from_dict(values) == config

@@ -59,8 +59,6 @@ class PPOConfig:
       that no mode's advantages outweigh the others'.
     kickstarting_weight: weight of the divergence from the initial policy of a
       fine-tuning, in the modes that this policy knows.
-    compile: compiles policy and value by `torch.compile`, which needs a C++
-      compiler and most of a minute at the start; results round differently.
   """
 
   hidden_sizes: _Sizes = (256, 128)
@@ -86,7 +84,6 @@ class PPOConfig:
   privileged_critic: bool = True
   advantages: Annotated[str, config.one_of(ADVANTAGES)] = 'all'
   kickstarting_weight: config.NonNegative = 0.0
-  compile: bool = False
 
   def __post_init__(self) -> None:
     if self.min_learning_rate > self.max_learning_rate:
@@ -117,9 +114,10 @@ def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
   Raises:
     KeyError: a field is missing.
   """
-  if 'std_floor' in values:
-    return dict(values)
   new = dict(values)
+  new.pop('compile', None)
+  if 'std_floor' in new:
+    return new
   std, final = new.pop('min_std'), new.pop('final_min_std')
   start, end = new.pop('anneal_start'), new.pop('anneal_end')
   new['std_floor'] = (

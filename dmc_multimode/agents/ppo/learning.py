@@ -1,7 +1,5 @@
 """The PPO learner: one step is one iteration over one batch of rollouts."""
 
-import os
-import shutil
 from typing import Any, Mapping, Sequence
 
 import torch
@@ -61,8 +59,7 @@ class PPOLearner:
       reference: policy to stay near to, for kickstarting.
 
     Raises:
-      ValueError: the configuration requires an argument or a compiler that is
-        missing.
+      ValueError: the configuration requires an argument that is missing.
     """
     self.network, self._config = network, config
     self._communicator = communicator
@@ -81,11 +78,6 @@ class PPOLearner:
     self._policy = optimiser.Optimiser(policy, config, communicator)
     # Two threads must not interleave collective operations on one group.
     self._value = optimiser.Optimiser(value, config, communicator.split())
-    self._means, self._values = network.mean, network.values
-    if config.compile:
-      _check_compiler()
-      self._means = torch.compile(network.mean, dynamic=False)
-      self._values = torch.compile(network.values, dynamic=False)
     self.learning_rate = config.learning_rate
     network.bound_std(*config.std_bounds(0))
 
@@ -166,7 +158,7 @@ class PPOLearner:
     config, network = self._config, self.network
     # Indexing takes four times as long.
     take = lambda field: field.index_select(0, ids)
-    mean = self._means(take(samples.observations))
+    mean = network.mean(take(samples.observations))
     std = network.std
     surrogate, outside = losses.surrogate_loss(
       networks.log_prob(take(samples.actions), mean, std),
@@ -195,7 +187,7 @@ class PPOLearner:
   def _fit_value(
     self, samples: rollouts_lib.Samples, ids: torch.Tensor
   ) -> Metrics:
-    values = self._values(samples.observations.index_select(0, ids))
+    values = self.network.values(samples.observations.index_select(0, ids))
     loss = torch.mean((values - samples.targets.index_select(0, ids)) ** 2)
     norm = self._value.step(loss)
     return {'loss/value': loss.detach(), 'gradient_norm/value': norm}
@@ -263,16 +255,6 @@ class PPOLearner:
     self.learning_rate = value
     for _, part in self._parts():
       part.set_learning_rate(value)
-
-
-def _check_compiler() -> None:
-  """Raises ValueError where torch.compile finds no compiler."""
-  compiler = os.environ.get('CXX', 'g++')  # The search of torch itself.
-  if not shutil.which(compiler):
-    raise ValueError(
-      f'--ppo_compile needs a C++ compiler, and there is no {compiler}: '
-      'install one, name one by CXX, or leave the flag out.'
-    )
 
 
 def part_of(

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import shutil
 from typing import Any
 from unittest import mock
 
@@ -239,29 +238,6 @@ def test_failure_of_either_part_undoes_both(parallel: bool, part: str) -> None:
   hook.remove()
   assert learner.step(rollouts, 0) == twin.step(rollouts, 0)
   assert _same(learner.state(), twin.state())
-
-
-# Compiled passes.
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not shutil.which('g++'), reason='there is no compiler')
-def test_compiled_passes_teach_the_same() -> None:
-  learner, compiled = _learner(), _learner(True, compile=True)
-  for seed in range(2):
-    rollouts = random_data.rollouts(learner.network, seed)
-    learner.step(rollouts, 0)
-    compiled.step(rollouts, 0)
-  for found, expected in zip(
-    compiled.network.parameters(), learner.network.parameters(), strict=True
-  ):
-    torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-5)
-
-
-def test_there_is_no_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
-  monkeypatch.setenv('CXX', 'no-such-compiler')
-  with pytest.raises(ValueError, match='--ppo_compile .* no-such-compiler'):
-    _learner(compile=True)
 
 
 # State.
