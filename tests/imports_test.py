@@ -1,9 +1,9 @@
 """The arrows between the rooms of the package point one way.
 
 utils <- modes, arenas, walkers <- suite <- planner, pretrained <- viewer <-
-evaluation <- experiments <- bin; `agents` sees environments through protocols
-alone. Benchmarks and documents import the library, and of `bin` only `app` and
-`flags`.
+evaluation <- experiments <- bin; deployment is above planner and pretrained and
+below bin; `agents` sees environments through protocols alone. Benchmarks and
+documents import the library, and of `bin` only `app` and `flags`.
 """
 
 import ast
@@ -35,7 +35,8 @@ _ALLOWED: dict[str, set[str]] = {
 _ALLOWED['viewer'] = {*_ALLOWED, 'viewer'} - {''}
 _ALLOWED['evaluation'] = {*_ALLOWED['viewer'], 'evaluation'}
 _ALLOWED['experiments'] = {*_ALLOWED['evaluation'], 'experiments'}
-_ALLOWED['bin'] = {*_ALLOWED['experiments'], 'bin'}
+_ALLOWED['deployment'] = {*_ALLOWED['planner'], 'pretrained', 'deployment'}
+_ALLOWED['bin'] = {*_ALLOWED['experiments'], 'deployment', 'bin'}
 
 # Module -> the rooms that it may import besides, but only inside functions, or
 # for type checkers alone. The facade is lazy, so that importing it loads
@@ -160,6 +161,7 @@ _LATE_IMPORT = f'def f():\n  {_EARLY_IMPORT}'
     ('dmc_multimode.planner.plan', 'def f():\n  from dmc_multimode import bin'),
     ('dmc_multimode.viewer.video', 'from dmc_multimode import evaluation'),
     ('dmc_multimode.experiments.setup', 'from dmc_multimode.bin import app'),
+    ('dmc_multimode.viewer.video', 'from dmc_multimode import deployment'),
     ('dmc_multimode', 'from dmc_multimode import suite'),
     ('dmc_multimode.novelty', 'import os'),
   ],

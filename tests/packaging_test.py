@@ -98,7 +98,7 @@ def test_wheel_holds_code_and_data(wheel: pathlib.Path) -> None:
     for path in (package / folder).glob(pattern)
     if path.is_file() and path.suffix not in ('.py', '.pyc')
   }
-  assert 'dmc_multimode/xml/mini_biped.xml' in data
+  assert 'dmc_multimode/xml/scene.xml' in data
   assert 'dmc_multimode/flags/pi2.flags' in data
   assert code | data | {'dmc_multimode/py.typed'} <= held
   tops = {name.split('/')[0] for name in held}

@@ -17,7 +17,7 @@ from dmc_multimode.arenas import terrain as terrain_lib
 
 _START = -20.0  # Metres: the ground begins this far behind the origin.
 _RUN_OUT = 20.0  # Metres of ground behind the last obstacle.
-_COLOURS = ('.70 .74 .78 1', '.62 .67 .72 1')
+COLOURS = ('.70 .74 .78 1', '.62 .67 .72 1')
 
 
 class Track(composer.Arena):
@@ -42,7 +42,7 @@ class Track(composer.Arena):
       name: of the arena.
 
     Raises:
-      ValueError: `num_segments` is not positive.
+      ValueError: `num_segments` is not positive, or `generate` fails.
     """
     super()._build(name=name)
     if num_segments < 1:
@@ -53,10 +53,11 @@ class Track(composer.Arena):
     )
     self._num_segments = num_segments
     self.adaptive = adaptive
-    self._terrain = terrain_lib.empty(1, num_segments)
     self._drawn: terrain_lib.Terrain | None = None
     self._add_visuals()
     self._geoms = [self._add_segment(i) for i in range(num_segments)]
+    # So that the MJCF is the track's from the start.
+    self.regenerate(np.random.RandomState(0))
 
   def _add_visuals(self) -> None:
     self._set_visual_options()
@@ -95,11 +96,6 @@ class Track(composer.Arena):
       ambient=[0.32] * 3, diffuse=[0.22] * 3, specular=[0.05] * 3
     )
     root.visual.map.znear = 0.005
-    # Without a GPU shadows cost half of a frame, and much more at 2048.
-    root.visual.quality.shadowsize = 1024
-    root.statistic.center, root.statistic.extent = [0, 0, 0.5], 3.0
-    # More than boxes and feet need, so that memory never grows.
-    root.size.memory = '2M'
 
   def _add_light_and_camera(self) -> None:
     root = self._mjcf_root
@@ -123,15 +119,14 @@ class Track(composer.Arena):
 
   def _add_segment(self, index: int) -> Any:
     body = self._mjcf_root.worldbody.add(
-      'body', name=f'segment_{index}', mocap=True, pos=[0, 0, -100 - index]
+      'body', name=f'segment_{index}', mocap=True
     )
     return body.add(
       'geom',
       name=f'segment_{index}',
       type='box',
-      size=[0.5, terrain_lib.HALF_WIDTH, terrain_lib.BOX_THICKNESS / 2],
       material=self._material,
-      rgba=_COLOURS[index % len(_COLOURS)],
+      rgba=COLOURS[index % len(COLOURS)],
       contype=0,
       conaffinity=1,
       friction=[0.9, 0.005, 0.0001],
@@ -151,6 +146,16 @@ class Track(composer.Arena):
   def terrain(self) -> terrain_lib.Terrain:
     """Current terrain, a batch of one."""
     return self._terrain
+
+  @property
+  def size(self) -> tuple[float, float]:
+    """Half extents of the level ground around the origin, metres.
+
+    Tasks such as `GoToTarget` put walkers and targets there, at a height of 0:
+    what lies behind the first edge is not for that.
+    """
+    ahead = float(self._terrain.ends[0, 0])
+    return min(-_START, ahead), terrain_lib.HALF_WIDTH
 
   def generate(
     self, random_state: np.random.RandomState
@@ -205,19 +210,27 @@ class Track(composer.Arena):
       model.bvh_aabb,
     )
 
-  def regenerate(
-    self, physics: Any, random_state: np.random.RandomState
-  ) -> None:
-    """Draws and applies a new terrain, at the start of an episode."""
-    self.apply(physics, self.generate(random_state))
+  def regenerate(self, random_state: np.random.RandomState) -> None:
+    """Draws a new terrain and puts the boxes of the MJCF there.
+
+    As dm_control's tasks call it, before a compilation. To change the terrain
+    of a physics, `apply` what `generate` returns.
+
+    Raises:
+      ValueError: as `generate`.
+    """
+    self._terrain = self.generate(random_state)
+    centres, halves = terrain_lib.boxes(self._terrain)
+    for geom, centre, half in zip(
+      self._geoms, centres[0], halves[0], strict=True
+    ):
+      geom.parent.pos, geom.size = centre, half
 
   def after_compile(
     self, physics: Any, random_state: np.random.RandomState
   ) -> None:
-    """Moves the boxes to the current terrain."""
+    """Moves the boxes to the current terrain, which `apply` may have set."""
     del random_state  # A recompilation must not change the terrain.
-    if not np.isfinite(self._terrain.starts[0, 0]):
-      self._terrain = self.generate(np.random.RandomState(0))
     self.apply(physics, self._terrain)
 
 

@@ -1,6 +1,6 @@
 """The mini biped as a dm_control locomotion walker."""
 
-from typing import Any
+from typing import Any, Sequence
 
 from dm_control import composer
 from dm_control import mjcf
@@ -26,29 +26,63 @@ class MiniBiped(legacy_base.Walker):
   are those of the actuators in `xml/mini_biped.xml`.
   """
 
-  def _build(self, name: str = 'walker', initializer: Any = None) -> None:
+  def _build(
+    self,
+    name: str | None = 'walker',
+    initializer: Any = None,
+    marker_rgba: Sequence[float] | None = None,
+  ) -> None:
+    """Builds the robot.
+
+    Args:
+      name: of the walker; that of the file if None.
+      initializer: a `WalkerInitializer`, or several; upright by default.
+      marker_rgba: colour of the trunk, to tell robots and teams apart.
+    """
     super()._build(initializer=initializer)
     self._mjcf_root = mjcf.from_path(
       str(resources.path('xml', 'mini_biped.xml'))
     )
-    self._mjcf_root.model = name
+    if name:
+      self._mjcf_root.model = name
+    # Arenas choose the root joint and the place.
+    self.root_body.freejoint.remove()
+    del self.root_body.pos
     # dm_control's `action_spec` ignores default classes, and would bound the
     # actions by 1.
     servo = self._mjcf_root.default.find('default', 'servo').position
     for actuator in self.actuators:
       actuator.ctrlrange = servo.ctrlrange
+    if marker_rgba is not None:
+      for geom in self.marker_geoms:
+        geom.rgba = marker_rgba
+    self._prev_action = np.zeros(len(JOINTS))
+
+  def initialize_episode(
+    self, physics: Any, random_state: np.random.RandomState
+  ) -> None:
+    """Forgets the action of the episode before."""
+    super().initialize_episode(physics, random_state)
+    self._prev_action = np.zeros(len(JOINTS))
+
+  def apply_action(
+    self,
+    physics: Any,
+    action: np.ndarray,
+    random_state: np.random.RandomState,
+  ) -> None:
+    """Hands joint targets, radians [10], to the servos, and remembers them."""
+    super().apply_action(physics, action, random_state)
+    self._prev_action = np.array(action, dtype=float)
+
+  @property
+  def prev_action(self) -> np.ndarray:
+    """The joint targets applied last, radians [10]; 0 before the first."""
+    return self._prev_action
 
   def add_servo_inertia(self, timestep: float) -> None:
-    """Gives every joint the inertia kp h^2, for physics steps of h seconds.
-
-    The integrator is implicit in the servos' damping but not in their
-    stiffness, on which a foot alone swings at 240 rad/s: steps of 5 ms do not
-    resolve that. This inertia, which vanishes with h, acts as if the stiffness
-    were implicit too: steps of 10 ms track those of 1 ms.
-    """
-    stiffness = self._mjcf_root.default.find('default', 'servo').position.kp
-    for joint in self.observable_joints:
-      joint.armature = stiffness * timestep**2
+    """Gives every joint the inertia of the function `add_servo_inertia`."""
+    add_servo_inertia(self._mjcf_root, timestep)
 
   @property
   def mjcf_model(self) -> mjcf.RootElement:
@@ -77,6 +111,25 @@ class MiniBiped(legacy_base.Walker):
     """The trunk; its frame is at the trunk's centre."""
     return self._mjcf_root.find('body', 'trunk')
 
+  @property
+  def bodies(self) -> tuple[Any, ...]:
+    """All bodies, from the trunk down."""
+    return tuple(self._mjcf_root.find_all('body'))
+
+  @property
+  def mocap_tracking_bodies(self) -> tuple[Any, ...]:
+    """The bodies that a task of motion capture compares: all."""
+    return self.bodies
+
+  @property
+  def marker_geoms(self) -> tuple[Any, ...]:
+    """The visible geoms that are coloured by `marker_rgba`."""
+    return tuple(
+      geom
+      for geom in self.root_body.geom
+      if geom.material is not None and geom.material.name == 'shell'
+    )
+
   @composer.cached_property
   def end_effectors(self) -> tuple[Any, ...]:
     """The feet's bodies (left, right)."""
@@ -100,6 +153,23 @@ class MiniBiped(legacy_base.Walker):
   def aliveness(self, physics: Any) -> float:
     """Returns a value from 0, upright, to -1, upside down."""
     return float(physics.bind(self.root_body).xmat[-1] - 1.0) / 2
+
+
+def add_servo_inertia(root: mjcf.RootElement, timestep: float) -> None:
+  """Gives every joint the inertia kp h^2, for physics steps of h seconds.
+
+  The integrator is implicit in the servos' damping but not in their
+  stiffness, on which a foot alone swings at 240 rad/s: steps of 5 ms do not
+  resolve that. This inertia, which vanishes with h, acts as if the stiffness
+  were implicit too: steps of 10 ms track those of 1 ms.
+
+  Args:
+    root: the MJCF tree of a robot, or of a scene with one.
+    timestep: of the physics, seconds.
+  """
+  stiffness = root.default.find('default', 'servo').position.kp
+  for name in JOINTS:
+    root.find('joint', name).armature = stiffness * timestep**2
 
 
 def standing_action(

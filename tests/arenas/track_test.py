@@ -1,9 +1,13 @@
 """Tests of dmc_multimode.arenas.track."""
 
-from typing import Callable
+from typing import Any, Callable
 
+from dm_control import composer
 from dm_control import mjcf
 from dm_control.composer.variation import distributions
+from dm_control.locomotion import walkers
+from dm_control.locomotion.arenas import floors
+from dm_control.locomotion.tasks import go_to_target
 import mujoco
 import numpy as np
 import pytest
@@ -11,6 +15,7 @@ import pytest
 from dmc_multimode.arenas import layouts
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track
+from dmc_multimode.walkers import mini_biped
 
 _NUM_TRACKS = 200
 _RADIUS = 0.05  # Metres.
@@ -157,7 +162,7 @@ def test_composer_balls_rest_on_every_segment() -> None:
   physics = mjcf.Physics.from_mjcf_model(arena.mjcf_model)
   for _ in range(_NUM_TRACKS):
     with physics.reset_context():
-      arena.regenerate(physics, random_state)
+      arena.apply(physics, arena.generate(random_state))
       qpos, rest = _starts_and_heights(arena.terrain)
       physics.bind(joints).qpos = qpos.ravel()
     centres, halves = terrain_lib.boxes(arena.terrain)
@@ -167,3 +172,35 @@ def test_composer_balls_rest_on_every_segment() -> None:
     mujoco.mj_step(physics.model.ptr, physics.data.ptr, nstep=_SETTLED)
     heights = np.asarray(physics.bind(joints).qpos).reshape(-1, 7)[:, 2]
     np.testing.assert_allclose(heights, rest, atol=3e-3)
+
+
+@pytest.mark.parametrize(
+  ('make', 'name'),
+  [
+    (mini_biped.MiniBiped, 'parkour'),
+    (walkers.CMUHumanoidPositionControlled, 'gap_block'),
+    (walkers.Rat, 'plateau'),
+    (walkers.Ant, 'parkour'),
+  ],
+)
+def test_robots_and_a_task_of_dm_control(
+  make: Callable[[], Any], name: str
+) -> None:
+  """A robot falls as on dm_control's floor; every episode draws a track."""
+  heights, edges = [], []
+  for arena in (track.make(name), floors.Floor(), track.make(name)):
+    robot = make()
+    task = go_to_target.GoToTarget(robot, arena, walker_spawn_position=(0, 0))
+    env = composer.Environment(task, random_state=len(heights))
+    env.reset()
+    contacts = 0
+    for _ in range(8):
+      step = env.step(np.zeros(env.action_spec().shape))
+      assert all(np.isfinite(v).all() for v in step.observation.values())
+      contacts += env.physics.data.ncon
+    assert contacts
+    heights.append(env.physics.bind(robot.root_body).xpos[2])
+    edges.append(env.physics.bind(arena.ground_geoms[0]).size[0])
+    assert abs(env.task.target_position(env.physics)[0]) < arena.size[0]
+  np.testing.assert_allclose(heights, heights[1], rtol=0.05)
+  assert (edges[0] != edges[2]) == (name == 'parkour')

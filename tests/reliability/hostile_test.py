@@ -236,7 +236,7 @@ def test_the_package_calls_nothing_that_executes_data() -> None:
 
 
 def test_xml_comes_from_the_package_alone() -> None:
-  """One file of the package, and what Composer made of it."""
+  """Files of the package, and what Composer made of them."""
   found = {
     (module, name): ast.unparse(node.args[0])
     for module, name, node in _calls()
@@ -247,6 +247,10 @@ def test_xml_comes_from_the_package_alone() -> None:
       'walkers/mini_biped',
       'mjcf.from_path',
     ): "str(resources.path('xml', 'mini_biped.xml'))",
+    (
+      'deployment/mjcf_export',
+      'mjcf.from_path',
+    ): "str(resources.path('xml', 'scene.xml'))",
     (
       'suite/imitation/mujoco_worlds',
       'mujoco.MjSpec.from_string',

@@ -1,13 +1,9 @@
 """Tests of dmc_multimode.walkers.mini_biped and of xml/mini_biped.xml."""
 
-from typing import Any, Callable
+from typing import Any
 
 from dm_control import composer
-from dm_control.composer.variation import distributions
-from dm_control.locomotion.arenas import corridors as corridor_arenas
 from dm_control.locomotion.arenas import floors
-from dm_control.locomotion.tasks import corridors as corridor_tasks
-from dm_control.locomotion.tasks import go_to_target
 import mujoco
 import numpy as np
 import pytest
@@ -269,39 +265,66 @@ def test_aliveness() -> None:
     assert walker.aliveness(physics) == pytest.approx(expected, abs=1e-7)
 
 
-def _corridor(walker: mini_biped.MiniBiped, **timing: float) -> composer.Task:
-  arena = corridor_arenas.GapsCorridor(
-    platform_length=distributions.Uniform(0.3, 2.5),
-    gap_length=distributions.Uniform(0.1, 0.4),
-    corridor_width=10,
-    corridor_length=20,
-  )
-  return corridor_tasks.RunThroughCorridor(
-    walker, arena, walker_spawn_position=(0.5, 0, 0), **timing
-  )
+def test_previous_action_is_that_of_the_episode() -> None:
+  arena, walker = floors.Floor(), mini_biped.MiniBiped()
+  walker.create_root_joints(arena.attach(walker))
+  walker.observables.prev_action.enabled = True
+  env = composer.Environment(composer.NullTask(arena))
+  (before,) = env.reset().observation.values()
+  np.testing.assert_array_equal(before, np.zeros((1, 10)))
+  given = np.linspace(-1, 1, 10)
+  walker.apply_action(env.physics, given, env.random_state)
+  given[:] = 0.0  # The caller's array is not the walker's.
+  np.testing.assert_array_equal(walker.prev_action, np.linspace(-1, 1, 10))
+  np.testing.assert_array_equal(env.physics.data.ctrl, walker.prev_action)
+  env.reset()
+  np.testing.assert_array_equal(walker.prev_action, np.zeros(10))
 
 
-def _target(walker: mini_biped.MiniBiped, **timing: float) -> composer.Task:
-  return go_to_target.GoToTarget(walker, floors.Floor(), **timing)
+def _touching(physics: Any) -> set[frozenset[str]]:
+  """Returns the pairs of robots that touch; one name where it is itself."""
+  names = [physics.model.id2name(i, 'geom') for i in range(physics.model.ngeom)]
+  return {
+    frozenset(names[geom].split('/')[0] for geom in (c.geom1, c.geom2))
+    for c in physics.data.contact
+  }
 
 
-@pytest.mark.parametrize(
-  'make', [pytest.param(_corridor, marks=pytest.mark.slow), _target]
-)
-def test_dm_controls_own_tasks(make: Callable[..., composer.Task]) -> None:
-  task = make(
-    mini_biped.MiniBiped(), physics_timestep=0.005, control_timestep=0.03
-  )
-  env = composer.Environment(
-    task, time_limit=30, random_state=0, strip_singleton_obs_buffer_dim=True
-  )
-  spec, specs = env.action_spec(), env.observation_spec()
-  random, time_step = np.random.RandomState(0), env.reset()
-  for _ in range(20):
-    assert 'walker/joints_pos' in time_step.observation
-    for name, value in time_step.observation.items():
-      specs[name].validate(value)
-      assert np.isfinite(value).all(), name
-    time_step = env.step(random.uniform(-0.3, 0.3, spec.shape))
-    assert np.isfinite(time_step.reward or 0.0)
-  env.close()
+def test_two_robots_touch_each_other_but_not_themselves() -> None:
+  arena = floors.Floor()
+  robots = [mini_biped.MiniBiped(name=name) for name in ('home', 'away')]
+  for robot in robots:
+    robot.create_root_joints(arena.attach(robot))
+  env = composer.Environment(composer.NullTask(arena))
+  physics = env.physics
+  for height, robot in zip((0.5, 1.1), robots, strict=True):
+    robot.set_pose(physics, position=[0, 0, height])
+    # The legs are one in the other.
+    hips = robot.mjcf_model.find_all('joint')[1::5]
+    physics.bind(hips).qpos = 0.5
+  seen = set()
+  for _ in range(100):
+    physics.step()
+    seen |= _touching(physics)
+  assert frozenset(('home', 'away')) in seen
+  assert not {frozenset(('home',)), frozenset(('away',))} & seen
+
+
+def test_that_costs_no_bit_of_one_robots_motion() -> None:
+  """As if, to be spared itself, it had to be spared by all others."""
+  excluding, sparing = _model(), _model()
+  robots = sparing.geom_contype & (sparing.geom_bodyid > 0)
+  sparing.geom_conaffinity[robots > 0] = 0
+  sparing.body_conaffinity[1:] = 0
+  random = np.random.RandomState(0)
+  controls = random.uniform(-2, 2, (200, 10))
+  states = []
+  for model in (excluding, sparing):
+    data = mujoco.MjData(model)
+    data.qpos[2] = _STAND_HEIGHT
+    for control in controls:
+      data.ctrl[:] = control
+      mujoco.mj_step(model, data, nstep=5)
+      states.append(np.concatenate([data.qpos, data.qvel]))
+  half = len(states) // 2
+  np.testing.assert_array_equal(states[:half], states[half:])

@@ -164,6 +164,22 @@ class ModeTracker:
     state, durations = self.state, self.bank.durations
     return self._timestep * state.clock_rate / durations[state.mode]
 
+  def ahead(self, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """Returns phases and headings within the control step that comes.
+
+    Args:
+      share: of the control step that has passed, in [0, 1).
+
+    Returns:
+      Phases [B], and commanded headings, radians, [B].
+    """
+    state, bank = self.state, self.bank
+    phase = state.phase + share * self._phase_step()
+    hold = (phase >= 1.0) & bank.transient[state.mode]
+    again = (phase >= 1.0) & ~hold
+    heading = state.heading + again * bank.turns[state.mode]
+    return np.where(hold, 1.0, phase - again), heading
+
   def take_offs(self) -> tuple[np.ndarray, np.ndarray]:
     """Returns the take-offs of the control step that `advance` ended.
 

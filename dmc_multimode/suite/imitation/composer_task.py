@@ -52,9 +52,14 @@ class Imitation(composer.Task):
     self.config = config or task_config.ImitationConfig()
     self._walker.create_root_joints(self._arena.attach(self._walker))
     self._set_physics_options()
+    self._set_scene_options()
     self.core = self.make_core(1, episodes.max_knots)
     self._visualize_reward = False
     self._parts: dict[str, np.ndarray] = {}
+    self._substep = 0
+    # Physics whose state no observation shows yet; computed when asked for,
+    # because hooks that run after the task's may still move the robot.
+    self._unseen: Any = None
     self._outcome: imitation_core.Outcome | None = None
     self._return = 0.0
     self._episode: episodes_lib.Episodes | None = None
@@ -75,6 +80,15 @@ class Imitation(composer.Task):
     if self.config.servo_inertia:
       self._walker.add_servo_inertia(self.config.physics_timestep)
 
+  def _set_scene_options(self) -> None:
+    """Sets what belongs to neither arena nor walker, whom it may not suit."""
+    root = self._arena.mjcf_model
+    # Without a GPU shadows cost half of a frame, and much more at 2048.
+    root.visual.quality.shadowsize = 1024
+    root.statistic.center, root.statistic.extent = [0, 0, 0.5], 3.0
+    # More than boxes and feet need, so that memory never grows.
+    root.size.memory = '2M'
+
   def make_core(
     self, num_worlds: int, max_knots: int
   ) -> imitation_core.ImitationCore:
@@ -93,9 +107,21 @@ class Imitation(composer.Task):
     self._task_observables = collections.OrderedDict()
     for name, size in layout:
       self._parts[name] = np.zeros((1, size))
-      part = observable.Generic(lambda physics, name=name: self._parts[name][0])
+      part = observable.Generic(
+        lambda physics, name=name: self._part(physics, name)
+      )
       part.enabled = True
       self._task_observables[name] = part
+
+  def _part(self, physics: Any, name: str) -> np.ndarray:
+    """Returns a part of the observation of this physics step, [size].
+
+    Only observables that are delayed or buffered are asked within a control
+    step; the parts are computed then, and once for all of them.
+    """
+    if self._unseen is not None:
+      self._observe(physics)
+    return self._parts[name][0]
 
   @property
   def root_entity(self) -> track_lib.Track:
@@ -115,6 +141,8 @@ class Imitation(composer.Task):
   @property
   def observation(self) -> dict[str, np.ndarray]:
     """Parts of `observations.layout` for the next action, [1, size] each."""
+    if self._unseen is not None:
+      self._observe(self._unseen)
     return dict(self._parts)
 
   @property
@@ -153,7 +181,7 @@ class Imitation(composer.Task):
     self._arena.apply(physics, self._current_terrain())
     physics.data.qpos[:], physics.data.qvel[:] = qpos[0], qvel[0]
     self._outcome, self._return = None, 0.0
-    self._observe(physics)
+    self._substep, self._unseen = 0, physics
 
   def _finish_episode(self) -> None:
     """Updates Algorithm 1 with the finished episode, if there is one."""
@@ -185,6 +213,13 @@ class Imitation(composer.Task):
       physics.forward()
     self._walker.apply_action(physics, action, random_state)
 
+  def after_substep(
+    self, physics: Any, random_state: np.random.RandomState
+  ) -> None:
+    """Counts the physics steps since the clocks advanced."""
+    del random_state
+    self._substep, self._unseen = self._substep + 1, physics
+
   def after_step(
     self, physics: Any, random_state: np.random.RandomState
   ) -> None:
@@ -198,7 +233,7 @@ class Imitation(composer.Task):
     self._outcome = self.core.advance(qpos, qvel, contact.astype(float))
     self._return += float(self._outcome.reward[0])
     self._rebuild(physics, self.core.switch(qpos, random_state))
-    self._observe(physics)
+    self._substep, self._unseen = 0, physics
     if self._visualize_reward:
       self._colour(physics, float(self._outcome.reward[0]))
 
@@ -231,7 +266,9 @@ class Imitation(composer.Task):
       physics.forward()
 
   def _observe(self, physics: Any) -> None:
-    self._parts.update(self.core.observe(*_state(physics)))
+    share = self._substep / self.config.substeps
+    self._parts.update(self.core.observe(*_state(physics), share=share))
+    self._unseen = None
 
   def _colour(self, physics: Any, reward: float) -> None:
     material = self._walker.mjcf_model.find('material', 'eye')

@@ -253,22 +253,27 @@ class ImitationCore:
     qpos: np.ndarray,
     qvel: np.ndarray,
     ids: np.ndarray | slice = slice(None),
+    share: float = 0.0,
   ) -> dict[str, np.ndarray]:
     """Returns the parts of the observation by name; see `observations`.
 
     Args:
       qpos, qvel: of the worlds `ids`, [N, 17] and [N, 16].
       ids: worlds, [N]; all by default.
+      share: of a control step that has passed since the last `advance`.
     """
     state = self.tracker.state
+    phase, heading = state.phase, state.heading
+    if share:
+      phase, heading = self.tracker.ahead(share)
     terrain = self._ground(ids)
     return observations.observe(
       observations.policy_view(
         qpos,
         qvel,
         terrain_lib.support_height(terrain, qpos[:, 0]),
-        state.heading[ids],
-        state.phase[ids],
+        heading[ids],
+        phase[ids],
         self.tracker.commands()[ids],
       )
     )

@@ -1,6 +1,6 @@
 """Tests of dmc_multimode.suite.imitation.composer_task."""
 
-from typing import Any
+from typing import Any, Callable
 from unittest import mock
 
 from dm_control import composer
@@ -168,3 +168,58 @@ def test_visualize_reward_colours_the_eye() -> None:
   _stand(env)
   eye = env.physics.bind(env.task.walker.mjcf_model.find('material', 'eye'))
   np.testing.assert_allclose(eye.rgba, [0.2, 0.7, 0.3, 1.0], atol=1e-3)
+
+
+def _clock(step: int) -> np.ndarray:
+  """Returns the clock of walk_forward after so many physics steps, by hand."""
+  duration = library.modes()['walk_forward'].duration
+  angle = 2 * np.pi * step * _CALM.physics_timestep / duration
+  return np.array([np.sin(angle), np.cos(angle)])
+
+
+@pytest.mark.parametrize(
+  ('settings', 'expected'),
+  [
+    ({}, lambda seen: seen[-1]),
+    ({'delay': 1}, lambda seen: seen[-2]),
+    ({'delay': 8}, lambda seen: seen[-9]),
+    ({'update_interval': 4}, lambda seen: seen[(len(seen) - 1) // 4 * 4]),
+    ({'buffer_size': 3}, lambda seen: seen[-3:]),
+    (
+      {'buffer_size': 9, 'aggregator': 'mean'},
+      lambda seen: np.mean(seen[-9:], axis=0),
+    ),
+  ],
+)
+def test_delays_and_intervals_are_of_physics_steps(
+  settings: dict[str, Any], expected: Callable[[list[np.ndarray]], np.ndarray]
+) -> None:
+  env = _env(['walk_forward'])
+  for name in ('joints_pos', 'clock'):
+    env.task.task_observables[name].configure(**settings)
+  joints: list[np.ndarray] = []
+  look = lambda physics, _: joints.append(physics.data.qpos[7:].copy())
+  env.add_extra_hook('initialize_episode', look)
+  env.add_extra_hook('after_substep', look)
+  env.reset()
+  for _ in range(3):
+    step = _stand(env)
+  clocks = [_clock(i) for i in range(len(joints))]
+  for name, seen in (('joints_pos', joints), ('clock', clocks)):
+    np.testing.assert_allclose(
+      step.observation[name], expected(seen), atol=1e-12
+    )
+
+
+@pytest.mark.parametrize('hook', ['initialize_episode', 'after_step'])
+def test_observations_are_those_after_the_last_hook(hook: str) -> None:
+  env = _env(['idle'])
+
+  def lift(physics: Any, _: Any) -> None:
+    physics.data.qpos[2] = 0.6
+
+  env.add_extra_hook(hook, lift)
+  step = env.reset()
+  if hook == 'after_step':
+    step = _stand(env)
+  assert step.observation['height'][0] == pytest.approx(0.6, abs=1e-12)
