@@ -1,8 +1,8 @@
 """One MJCF file of robot and track, for programs that know MuJoCo alone.
 
 It is `xml/scene.xml` with the boxes of a track for its floor, and has the names
-of that file: joints and actuators are those of `mini_biped.JOINTS`, the trunk is
-`trunk`, the boxes are `segment_0`, `segment_1`, ...
+of that file: joints and actuators are those of `mini_biped.JOINTS`, the body of
+the trunk is `trunk`, the boxes are `segment_0`, `segment_1`, ...
 """
 
 import os

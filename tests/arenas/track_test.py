@@ -8,6 +8,7 @@ from dm_control.composer.variation import distributions
 from dm_control.locomotion import walkers
 from dm_control.locomotion.arenas import floors
 from dm_control.locomotion.tasks import go_to_target
+from dm_control.locomotion.walkers import cmu_humanoid
 import mujoco
 import numpy as np
 import pytest
@@ -178,9 +179,9 @@ def test_composer_balls_rest_on_every_segment() -> None:
   ('make', 'name'),
   [
     (mini_biped.MiniBiped, 'parkour'),
-    (walkers.CMUHumanoidPositionControlled, 'gap_block'),
+    (cmu_humanoid.CMUHumanoid, 'gap_block'),
     (walkers.Rat, 'plateau'),
-    (walkers.Ant, 'parkour'),
+    (walkers.Ant, 'flat'),
   ],
 )
 def test_robots_and_a_task_of_dm_control(
