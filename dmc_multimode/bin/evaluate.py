@@ -46,6 +46,12 @@ _CLOCK_RATES = flags.DEFINE_list(
   'clock_rates', None, 'Also measure how fast the modes go at these.'
 )
 _CLOCK_RATE = flags.DEFINE_float('clock_rate', 1.0, 'Of the modes.')
+_SWITCHING = flags.DEFINE_bool(
+  'switching', False, 'Also command modes at random for 20 s.'
+)
+_SWITCHING_EPISODES = flags.DEFINE_integer(
+  'switching_episodes', 256, 'Robots of each kind of --switching.', 1
+)
 
 
 def _rates() -> list[float]:
@@ -88,6 +94,7 @@ def _evaluate(no_videos: str, communicator: distributed.Communicator) -> None:
     rates,
     _TIMESTEP.value,
     communicator=communicator,
+    switching_episodes=_SWITCHING.value * _SWITCHING_EPISODES.value,
   )
   values['provenance']['encoder_seed'] = encoder_seed
   if communicator.rank == 0:

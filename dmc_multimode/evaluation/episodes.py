@@ -1,6 +1,6 @@
 """Evaluation episodes: returns, survival and measurements."""
 
-from typing import Any, Callable, NamedTuple
+from typing import Any, Callable, Mapping, NamedTuple
 
 import numpy as np
 import torch
@@ -9,6 +9,7 @@ from dmc_multimode.agents import core as agents_core
 from dmc_multimode.agents import distributed
 
 SelectAction = Callable[[np.ndarray], np.ndarray]
+Measure = Callable[[], Mapping[str, np.ndarray]]
 _ON_TIME = 0  # Cause of an end at the time limit.
 
 
@@ -42,6 +43,7 @@ def run_episodes(
   environment: agents_core.MeasuredEnvironment,
   select_action: SelectAction,
   progress: Callable[[], Any] = lambda: None,
+  measure: Measure | None = None,
 ) -> Episodes:
   """Runs one episode in every world.
 
@@ -49,7 +51,10 @@ def run_episodes(
     environment: must not reset its worlds itself.
     select_action: maps observations float32 [B, D] to actions [B, A].
     progress: called after every step.
+    measure: returns the measurements of a step by name, [B, ...] each; that of
+      the environment if None.
   """
+  measure = measure or environment.measure
   count = environment.num_worlds
   returns, lengths = np.zeros(count), np.zeros(count, dtype=np.int64)
   survived, ended = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
@@ -58,7 +63,7 @@ def run_episodes(
   while not ended.all():
     step = environment.step(select_action(observation))
     observation = step.observation
-    for name, value in environment.measure().items():
+    for name, value in measure().items():
       traces.setdefault(name, []).append(value)
     worlds = step.results.worlds
     returns[worlds] = step.results.returns

@@ -2,13 +2,13 @@
 
 import copy
 import dataclasses
-from typing import Any, Protocol
+from typing import Any, Callable, Protocol
 
 import numpy as np
 import tqdm
 
-from dmc_multimode.agents import core as agents_core
 from dmc_multimode.agents import distributed
+from dmc_multimode.arenas import track
 from dmc_multimode.evaluation import episodes as evaluation_episodes
 from dmc_multimode.evaluation import gait_metrics
 from dmc_multimode.modes import mode_set as mode_set_lib
@@ -28,6 +28,10 @@ class Policy(Protocol):
 
   def select_action(self, observation: np.ndarray) -> np.ndarray:
     """Returns mean joint targets [B, 10] for observations [B, D]."""
+
+
+# Prepares worlds; returns what measures them after every step.
+Recorder = Callable[[batched_env.BatchedImitation], evaluation_episodes.Measure]
 
 
 class Evaluator:
@@ -67,11 +71,18 @@ class Evaluator:
 
   def make_worlds(
     self, schedule: schedule_lib.ModeSchedule
-  ) -> agents_core.MeasuredEnvironment:
+  ) -> batched_env.BatchedImitation:
     """Returns a world for each row of `schedule`, without auto-reset."""
+    motions = self.policy.mode_set.motions
+    is_ledge = np.array([motion.ledge is not None for motion in motions])
+    ledges = int(is_ledge[schedule.modes].sum(axis=1).max())
+    arena = track.make('flat')
+    if ledges >= arena.num_segments:
+      arena = track.make('flat', ledges + 1)
     task = multimode_biped.make_task(
       self.policy.mode_set,
       episodes_lib.ScheduledEpisodes(schedule),
+      arena,
       config=self.config,
     )
     is_alone = self._communicator.size == 1
@@ -93,15 +104,25 @@ class Evaluator:
     return rows % self._communicator.size == self._communicator.rank
 
   def run(
-    self, schedule: schedule_lib.ModeSchedule, label: str
+    self,
+    schedule: schedule_lib.ModeSchedule,
+    label: str,
+    recorder: Recorder | None = None,
   ) -> evaluation_episodes.Episodes:
-    """Runs one episode of each row of `schedule`."""
+    """Runs one episode of each row of `schedule`.
+
+    Args:
+      schedule: of the worlds.
+      label: of the progress bar.
+      recorder: measures something else than the environment does.
+    """
     worlds = self.make_worlds(schedule)
+    measure = recorder(worlds) if recorder else None
     with tqdm.tqdm(
       total=self.config.horizon, desc=label, unit='step', disable=self._quiet
     ) as bar:
       found = evaluation_episodes.run_episodes(
-        worlds, self.policy.select_action, bar.update
+        worlds, self.policy.select_action, bar.update, measure
       )
     return evaluation_episodes.of_all_ranks(
       found, np.flatnonzero(self._mine(schedule)), self._communicator

@@ -18,6 +18,7 @@ import tqdm
 from dmc_multimode import pretrained
 from dmc_multimode.evaluation import evaluator as evaluator_lib
 from dmc_multimode.evaluation import figures
+from dmc_multimode.evaluation import motion_metrics
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.utils import files
@@ -174,11 +175,11 @@ def page(
     undefined=jinja2.StrictUndefined,
     trim_blocks=True,
   )
-  environment.filters.update(data=_data, heat=_heat)
+  environment.filters.update(data=_data, heat=_heat, number=_number)
   measured = ('seed', 'episodes_per_case', 'clock_rate')
   return environment.get_template(_TEMPLATE).render(
     title=title,
-    values=values,
+    values={'motion': {}, 'switching': {}, 'clock_rates': {}, **values},
     figures=pictures,
     videos=videos,
     note=note,
@@ -197,6 +198,7 @@ def page(
       for name, row in values['transitions'].items()
     ],
     criteria=list(_criteria(values)),
+    motion_metrics=motion_metrics.TABLE,
     provenance={
       'Evaluation': list(_flat({key: values[key] for key in measured})),
       'Policy': list(_flat(values['provenance'])),
@@ -207,15 +209,19 @@ def page(
 
 def _criteria(values: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
   """Yields a row for each acceptance criterion of each mode."""
-  number = lambda value: '' if value is None else f'{value:.3f}'
   for mode, rows in values['acceptance'].items():
     for metric, row in rows.items():
       keys = ('value', 'worst', 'least', 'most')
       yield {
         'name': f'{mode}: {metric}',
-        'numbers': [number(row[key]) for key in keys],
+        'numbers': [_number(row[key]) for key in keys],
         'passed': row['passed'],
       }
+
+
+def _number(value: float | None) -> str:
+  """Returns three decimals, nothing for None."""
+  return '' if value is None else f'{value:.3f}'
 
 
 def _data(content: bytes, kind: str) -> str:
@@ -258,6 +264,10 @@ def show(values: Mapping[str, Any]) -> None:
   print(f'\n{"transition":36}{"mra":>10}{"survival":>10}')
   for name, row in values['transitions'].items():
     print(f'{name:36}{row["mra"]:10.3f}{row["survival"]:10.3f}')
+  _show_motion(values)
+  for kind in ('any_moment', 'from_ground'):
+    if kind in values.get('switching', {}):
+      print(f'switches, {kind}: {_switches(values["switching"][kind])}')
   for rate, row in values.get('clock_rates', {}).items():
     speeds = ', '.join(
       f'{name} {found["velocity"]:.2f} m/s ({found["survival"]:.2f})'
@@ -270,3 +280,19 @@ def show(values: Mapping[str, Any]) -> None:
       f'MRA over {kind}: {mra["mean"]:.3f} +- {mra["std"]:.3f}, survival '
       f'{values[f"survival_{kind}"]:.3f}'
     )
+
+
+def _show_motion(values: Mapping[str, Any]) -> None:
+  """Prints the motion metrics, a line for each and a column for each mode."""
+  modes = values.get('motion', {})
+  print(f'\n{"motion":32}' + ''.join(f'{name[-13:]:>14}' for name in modes))
+  for metric in motion_metrics.TABLE:
+    title = f'{metric.name} {metric.unit}'
+    cells = (f'{_number(row[metric.name]):>14}' for row in modes.values())
+    print(f'{title:32}' + ''.join(cells))
+
+
+def _switches(found: Mapping[str, Any]) -> str:
+  """Returns the survival of random switches and the modes of falls."""
+  falls = ', '.join(f'{mode} {count}' for mode, count in found['falls'].items())
+  return f'survival {found["survival"]:.3f}' + (falls and f', falls: {falls}')

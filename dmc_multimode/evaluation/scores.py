@@ -17,6 +17,8 @@ from dmc_multimode.evaluation import acceptance
 from dmc_multimode.evaluation import episodes as evaluation_episodes
 from dmc_multimode.evaluation import evaluator as evaluator_lib
 from dmc_multimode.evaluation import gait_metrics
+from dmc_multimode.evaluation import motion
+from dmc_multimode.evaluation import switching
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import events
@@ -34,6 +36,7 @@ def evaluate(
   physics_timestep: float | None = None,
   quiet: bool = False,
   communicator: distributed.Communicator = distributed.LOCAL,
+  switching_episodes: int = 0,
 ) -> dict[str, Any]:
   """Evaluates every mode and every transition, deterministically.
 
@@ -43,13 +46,15 @@ def evaluate(
     episodes: of each transition at each phase and clip; 4 times as many of each
       mode.
     clock_rate: of the modes.
-    clock_rates: further rates at which to measure the speeds of modes.
+    clock_rates: further rates at which to measure travelling modes.
     physics_timestep: seconds; that of the policy if None.
     quiet: hides the progress bars.
     communicator: of the ranks, which share the episodes.
+    switching_episodes: of random switches, see `switching.evaluate`.
 
   Returns:
-    JSON values: those of `report`, and the policy's `provenance`.
+    JSON values: those of `report`, `motion` (see `motion.evaluate`), what is
+    asked for besides, and the policy's `provenance`.
 
   Raises:
     FileNotFoundError: there is no such policy.
@@ -65,6 +70,11 @@ def evaluate(
     policy, seed, physics_timestep, quiet, communicator
   )
   values = report(evaluator, episodes, clock_rate)
+  values['motion'] = motion.evaluate(
+    evaluator, MODE_FACTOR * episodes, clock_rate
+  )
+  if switching_episodes:
+    values['switching'] = switching.evaluate(evaluator, switching_episodes)
   if clock_rates:
     values['clock_rates'] = evaluate_clock_rates(
       evaluator, MODE_FACTOR * episodes, clock_rates
@@ -110,14 +120,14 @@ def evaluate_modes(
 def evaluate_clock_rates(
   evaluator: evaluator_lib.Evaluator, episodes: int, rates: Sequence[float]
 ) -> dict[str, dict[str, dict[str, float]]]:
-  """Returns the speeds of travelling modes at other clock rates.
+  """Returns speeds and scores of travelling modes at other clock rates.
 
-  Tracking limits are off, for robots that cannot keep up: only a fall ends an
-    episode.
+  For speed and survival tracking limits are off, for robots that cannot keep
+  up: only a fall ends an episode. MRA is that of the task.
 
   Returns:
     By rate and mode: speed along the mode's direction, that of the reference,
-      m/s, and survival. Empty if no mode travels.
+      m/s, survival, and MRA. Empty if no mode travels.
   """
   bank = evaluator.mode_set.bank
   limits = terminations.falls_alone(evaluator.config.limits)
@@ -129,7 +139,9 @@ def evaluate_clock_rates(
   modes = np.repeat(travelling, episodes)
   result: dict[str, dict[str, dict[str, float]]] = {}
   for rate in rates:
-    found = free.run(schedule_lib.single(modes, rate), f'clock rate {rate:g}')
+    schedule = schedule_lib.single(modes, rate)
+    found = free.run(schedule, f'clock rate {rate:g}')
+    limited = evaluator.run(schedule, f'clock rate {rate:g}, MRA')
     row = result[f'{rate:g}'] = {}
     for i in travelling:
       mine = found.rows(np.flatnonzero(modes == i))
@@ -140,6 +152,7 @@ def evaluate_clock_rates(
         'reference': float(rate * lengths[i] / bank.durations[i]),
         'velocity': float(np.mean(speeds)),
         'survival': float(mine.survived.mean()),
+        'mra': float(limited.returns[modes == i].mean()),
       }
   return result
 
@@ -153,10 +166,10 @@ def evaluate_acceptance(
   modes = np.repeat(np.arange(len(bank)), episodes)
   run = longer.run(schedule_lib.single(modes), 'acceptance')
   result = {}
-  for i, motion in enumerate(bank.motions):
+  for i, mode in enumerate(bank.motions):
     mine = run.rows(np.flatnonzero(modes == i))
-    traces = longer.traces(mine, motion.duration)
-    result[motion.name] = {
+    traces = longer.traces(mine, mode.duration)
+    result[mode.name] = {
       found.metric: {
         'value': found.value,
         'worst': found.worst,
@@ -164,7 +177,7 @@ def evaluate_acceptance(
         'most': found.most if np.isfinite(found.most) else None,
         'passed': found.passed,
       }
-      for found in acceptance.check(motion, traces)
+      for found in acceptance.check(mode, traces)
     }
   return result
 

@@ -82,6 +82,8 @@ def test_report_of_one_rank_and_of_two(
   assert (speed['least'], speed['most']) == pytest.approx((0.5, 0.7))
   assert not speed['passed']  # It tumbles.
   assert 'walk_forward: speed' in done.stdout
+  assert report['motion']['walk_forward']['torque_peak'] > 1
+  assert 'torque_peak Nm' in done.stdout
 
 
 def test_page_where_nothing_draws(
@@ -114,17 +116,23 @@ def test_clock_rates_and_figures(
     f'--policy={policy}',
     '--episodes=1',
     '--clock_rates=1,2.5',
+    '--switching',
+    '--switching_episodes=2',
     f'--out={out}',
     f'--figures={folder}',
   )
   assert done.code == 0, done.stderr
-  rates = json.loads(out.read_text())['clock_rates']
+  report = json.loads(out.read_text())
+  assert report['switching']['episodes'] == 2
+  assert 'switches, from_ground: survival' in done.stdout
+  rates = report['clock_rates']
   assert list(rates) == ['1', '2.5']
   for rate, row in rates.items():
     assert list(row) == ['walk_forward']  # Idling goes nowhere.
     found = row['walk_forward']
     assert found['reference'] == pytest.approx(0.6 * float(rate))
     assert np.isfinite(found['velocity']) and 0 <= found['survival'] <= 1
+    assert 0 < found['mra'] < 1
     assert f'clock rate {rate}: walk_forward {found["velocity"]:.2f}' in (
       done.stdout
     )

@@ -14,6 +14,7 @@ import pytest
 
 from dmc_multimode import pretrained
 from dmc_multimode.evaluation import figures
+from dmc_multimode.evaluation import motion_metrics
 from dmc_multimode.evaluation import report
 from dmc_multimode.suite.imitation import config as task_config
 from tests.bin import untrained
@@ -78,6 +79,26 @@ def _values() -> dict[str, Any]:
       f'{a}->{b}': {'mra': 0.1 + 0.2 * i, 'survival': 0.125 * i}
       for i, (a, b) in enumerate(pairs)
     },
+    'motion': {
+      name: dict.fromkeys([m.name for m in motion_metrics.TABLE], 0.5 + i)
+      for i, name in enumerate(_MODES)
+    },
+    'switching': {
+      'seconds': 20.0,
+      'episodes': 256,
+      'any_moment': {'survival': 0.875, 'falls': {'idle': 31, _NASTY: 1}},
+      'from_ground': {'survival': 1.0, 'falls': {}},
+    },
+    'clock_rates': {
+      '3': {
+        _NASTY: {
+          'velocity': 1.25,
+          'reference': 1.5,
+          'mra': 0.625,
+          'survival': 0.75,
+        }
+      }
+    },
     'seed': 1234,
     'episodes_per_case': 4,
     'clock_rate': 1.5,
@@ -111,6 +132,10 @@ def test_every_mode_criterion_and_transition_is_there() -> None:
   for i, (a, b) in enumerate(itertools.product(_MODES, _MODES)):
     expected = [f'{0.1 + 0.2 * i:.3f}', f'{0.125 * i:.3f}']
     assert rows[f'{a}->{b}'] == expected
+  assert rows['touch down speed (m/s)'] == ['0.500', '1.500']
+  assert rows['at any moment'] == ['0.875', f'idle 31, {_NASTY} 1']
+  assert rows['from the ground'] == ['1.000', '']
+  assert [_NASTY, '3', '1.250', '1.500', '0.625', '0.750'] in page.rows
   assert ['idle', '0.10', '0.30'] in page.rows  # Of the heat map.
   assert [_NASTY, '0.50', '0.70'] in page.rows
   cells = [cell for cell in page.all('td') if 'style' in cell]
