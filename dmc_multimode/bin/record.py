@@ -49,6 +49,9 @@ _GHOST = flags.DEFINE_bool('ghost', True, 'Draw the reference.')
 _TERMINATE = flags.DEFINE_bool(
   'terminate', False, 'Stop where an episode would end early.'
 )
+_COMPARE = flags.DEFINE_string(
+  'compare', None, 'Another policy to show beside, on the same schedule.'
+)
 _SLOW_MOTION = flags.DEFINE_float('slow_motion', 1.0, 'Times slower than life.')
 
 
@@ -77,9 +80,14 @@ def main(argv: Sequence[str]) -> None:
     clock_rate=_CLOCK_RATE.value,
     physics_timestep=_PHYSICS_TIMESTEP.value,
     terminate=_TERMINATE.value,
+    compare=_COMPARE.value,
   )
   for outcome in recording.outcomes:
     print(outcome)
+  if recording.compared:
+    print(f'{_COMPARE.value}:')
+    for outcome in recording.compared.outcomes:
+      print(outcome)
   print(f'wrote {_OUT.value} ({recording.steps} frames)')
 
 

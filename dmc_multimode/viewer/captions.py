@@ -61,9 +61,10 @@ def colour(mode: int) -> tuple[int, int, int]:
 class Captions:
   """Draws captions and timeline of a roll-out into its frames."""
 
-  def __init__(self, rollout: 'rollout_lib.Rollout'):
-    """Captions the steps of `rollout`, in order."""
+  def __init__(self, rollout: 'rollout_lib.Rollout', name: str = ''):
+    """Captions the steps of `rollout`, in order; shows `name` if there is."""
     self._rollout = rollout
+    self._name = (name,) if name else ()
     self._names = rollout.task.mode_set.names
     self._timeline = Timeline(
       rollout.schedule.modes[0].tolist(), rollout.ends.tolist()
@@ -83,6 +84,7 @@ class Captions:
       self._names.index(step.mode),
       step.mode,
       (
+        *self._name,
         f'time {step.time:.2f} s',
         f'height {step.height:.2f} m',
         f'speed {step.speed:.2f} m/s',

@@ -1,10 +1,11 @@
 """Videos of roll-outs: rendered, captioned and encoded."""
 
 import dataclasses
+import itertools
 import math
 import os
 import pathlib
-from typing import Any, NamedTuple, Sequence, TYPE_CHECKING
+from typing import Any, Iterator, Mapping, NamedTuple, Sequence, TYPE_CHECKING
 
 import numpy as np
 import tqdm
@@ -81,10 +82,12 @@ class Recording(NamedTuple):
   Attributes:
     outcomes: of each command.
     steps: control steps.
+    compared: of the policy beside, if there is one.
   """
 
   outcomes: list[Outcome]
   steps: int
+  compared: 'Recording | None' = None
 
 
 def record(
@@ -99,6 +102,7 @@ def record(
   physics_timestep: float | None = None,
   terminate: bool = False,
   quiet: bool = False,
+  compare: 'str | os.PathLike[str] | pretrained.Policy | None' = None,
 ) -> Recording:
   """Records a policy that follows a schedule or a plan on a track.
 
@@ -115,6 +119,8 @@ def record(
     physics_timestep: seconds; the policy's own if None.
     terminate: ends the video at a termination of the episode.
     quiet: hides the progress bar.
+    compare: another policy to show beside it, with the same schedule and
+      camera, each in its own task.
 
   Raises:
     FileNotFoundError: there is no such policy or plan.
@@ -130,19 +136,37 @@ def record(
   else:
     raise ValueError('Say what to record: a schedule or a plan.')
   gl.choose_backend()
-  # These import dm_control, which reads the choice.
-  from dmc_multimode import pretrained
+  # It imports dm_control, which reads the choice.
   from dmc_multimode.viewer import rollout as rollout_lib
 
-  if isinstance(policy, (str, os.PathLike)):
-    policy = pretrained.load(policy)
   rollout_config = rollout_lib.RolloutConfig(
     **what,
     clock_rate=clock_rate,
     physics_timestep=physics_timestep,
     terminate=terminate,
   )
-  return film(policy, rollout_config, config or RecordingConfig(), path, quiet)
+  config = config or RecordingConfig()
+  if compare is None:
+    return film(_load(policy), rollout_config, config, path, quiet)
+  names = [
+    str(each) if isinstance(each, (str, os.PathLike)) else title
+    for each, title in ((policy, 'first'), (compare, 'second'))
+  ]
+  if names[0] == names[1]:
+    raise ValueError(f'{names[0]} cannot be compared with itself.')
+  policies = dict(zip(names, (_load(policy), _load(compare)), strict=True))
+  first, second = film_beside(policies, rollout_config, config, path, quiet)
+  return first._replace(compared=second)
+
+
+def _load(
+  policy: 'str | os.PathLike[str] | pretrained.Policy',
+) -> 'pretrained.Policy':
+  from dmc_multimode import pretrained
+
+  if isinstance(policy, (str, os.PathLike)):
+    return pretrained.load(policy)
+  return policy
 
 
 def _scheduled(
@@ -199,37 +223,98 @@ def film(
     ValueError: a mode, arena or camera is unknown, or a number out of bounds.
     OSError: the video cannot be written.
   """
-  # These import dm_control, which reads MUJOCO_GL.
-  from dmc_multimode.viewer import camera as camera_lib
-  from dmc_multimode.viewer import rollout as rollout_lib
+  return film_beside({'': policy}, rollout_config, config, out, quiet)[0]
 
-  rollout = rollout_lib.Rollout(policy, rollout_config)
-  camera_lib.prepare(rollout.task, config.width, config.height)
-  physics = rollout.start()
-  start = physics.data.qpos[:3].copy()
-  camera = camera_lib.Camera(
-    physics,
-    rollout.task,
-    config.camera,
-    config.width,
-    config.height,
-    config.ghost,
-  )
-  rate = 1 / (rollout.task.control_timestep * config.slow_motion)
+
+def film_beside(
+  policies: 'Mapping[str, pretrained.Policy]',
+  rollout_config: 'rollout_lib.RolloutConfig',
+  config: RecordingConfig,
+  out: pathlib.Path,
+  quiet: bool = False,
+) -> list[Recording]:
+  """Rolls out several policies, and writes one video of them side by side.
+
+  Each is in its own task. A picture stays when its roll-out has ended.
+
+  Args:
+    policies: by the names to show; '' shows none.
+    rollout_config, config, out, quiet: as for `film`; the size is that of one
+      policy's picture.
+
+  Raises:
+    ValueError: as `film`, or the policies' control steps are of two lengths.
+    OSError: the video cannot be written.
+  """
+  video.check_size(config.width * len(policies), config.height)
+  shots = [
+    _Shot(policy, name, rollout_config, config)
+    for name, policy in policies.items()
+  ]
+  periods = {shot.rollout.task.control_timestep for shot in shots}
+  if len(periods) > 1:
+    raise ValueError('The policies act at different periods.')
   bar = tqdm.tqdm(
-    rollout.steps(),
+    itertools.zip_longest(*(shot.frames() for shot in shots)),
     'recording',
-    rollout.num_steps,
+    max(shot.rollout.num_steps for shot in shots),
     unit='frame',
     disable=quiet,
   )
-  steps: list[rollout_lib.Step] = []
-  caption = captions.Captions(rollout)
+  size = config.height, config.width, 3
+  shown = [np.zeros(size, dtype=np.uint8) for _ in shots]
+  rate = 1 / (periods.pop() * config.slow_motion)
   with bar, video.open_writer(out, rate) as append:
-    for step in bar:
-      steps.append(step)
-      append(caption.draw(camera.render(), step))
-  return Recording(outcomes(rollout_config, start, steps), len(steps))
+    for frames in bar:
+      pairs = zip(frames, shown, strict=True)
+      shown = [old if new is None else new for new, old in pairs]
+      append(np.concatenate(shown, axis=1))
+  return [
+    Recording(outcomes(rollout_config, shot.start, shot.steps), len(shot.steps))
+    for shot in shots
+  ]
+
+
+class _Shot:
+  """One policy's roll-out before a camera.
+
+  Attributes:
+    rollout: the roll-out.
+    start: initial position of the trunk, metres, [3].
+    steps: made so far.
+  """
+
+  def __init__(
+    self,
+    policy: 'pretrained.Policy',
+    name: str,
+    rollout_config: 'rollout_lib.RolloutConfig',
+    config: RecordingConfig,
+  ):
+    # These import dm_control, which reads MUJOCO_GL.
+    from dmc_multimode.viewer import camera as camera_lib
+    from dmc_multimode.viewer import rollout as rollout_lib
+
+    self.rollout = rollout_lib.Rollout(policy, rollout_config)
+    camera_lib.prepare(self.rollout.task, config.width, config.height)
+    physics = self.rollout.start()
+    self.start = physics.data.qpos[:3].copy()
+    self.steps: list[rollout_lib.Step] = []
+    self._camera = camera_lib.Camera(
+      physics,
+      self.rollout.task,
+      config.camera,
+      config.width,
+      config.height,
+      config.ghost,
+    )
+    self._caption = captions.Captions(self.rollout, name)
+
+  def frames(self) -> Iterator[np.ndarray]:
+    """Rolls out; yields a frame a control step, uint8 [H, W, 3]."""
+    for step in self.rollout.steps():
+      self.steps.append(step)
+      yield self._caption.draw(self._camera.render(), step)
 
 
 def outcomes(

@@ -3,6 +3,7 @@
 import pathlib
 from typing import Any
 
+import av
 import numpy as np
 import pytest
 
@@ -39,6 +40,35 @@ def test_record(tmp_path: pathlib.Path) -> None:
   assert (first.mode, first.cause, made[0].steps) == ('walk_forward', 'none', 6)
   assert str(second).startswith('idle: survived, mean speed')
   assert [outcome.mode for outcome in made[2].outcomes] == ['idle']
+
+
+@pytest.mark.gl
+def test_two_policies_side_by_side(tmp_path: pathlib.Path) -> None:
+  """Each as alone, but for its name in the picture."""
+  small = viewer.RecordingConfig(width=128, height=128)
+  record = lambda **more: viewer.record(
+    'pi2',
+    'idle:0.3',
+    out=tmp_path / f'{len(more)}.mp4',
+    config=small,
+    quiet=True,
+    **more,
+  )
+  alone, both = record(), record(compare='quickstart')
+  assert both._replace(compared=None) == alone
+  assert both.compared is not None and both.compared.steps == 10
+  assert both.compared.outcomes != alone.outcomes
+  frames = []
+  for name in ('0.mp4', '1.mp4'):
+    with av.open(str(tmp_path / name)) as container:
+      decoded = container.decode(container.streams.video[0])
+      frames.append([frame.to_ndarray(format='rgb24') for frame in decoded])
+  assert {frame.shape for frame in frames[1]} == {(128, 256, 3)}
+  # The ground below the robot, where no text is.
+  left, right = (np.array(frames[1])[:, 96:, x : x + 128] for x in (0, 128))
+  single = np.array(frames[0])[:, 96:].astype(int)
+  assert np.abs(left - single).mean() < 3
+  assert 0.1 < np.abs(right - single).mean() < 30
 
 
 @pytest.mark.parametrize(
