@@ -1,18 +1,26 @@
-"""Scores a policy under other physics steps, edges, masses, friction, pushes.
+"""Scores policies on other robots, on other ground, and under disturbances.
 
     python -m benchmarks.reliability.robustness --policy=pi2 --out=FILE.json
+    python -m benchmarks.reliability.robustness --policy=pi2,pi_all --falls_only
 
 Everything is judged by the code of `dmc_multimode.evaluation`, each case
 apart: the physics in finer steps than in training; the edges of blocks nearer
 or farther than the references have them; all masses and inertias, or all
 sliding friction, higher or lower; pushes, which change the trunk's velocity by
-0.3 m/s in a random horizontal direction once a second; and obstacles, which
-every command meets that can: gaps under leaps, other blocks, ledges ahead of
-gaits.
+0.3 m/s in a random horizontal direction once a second; obstacles, which every
+command meets that can: gaps under leaps, other blocks, ledges ahead of gaits;
+weaker servos; a slope, which is gravity that is tilted; and bumps of the
+ground.
+
+MRA and survival are those of `evaluate`. Where nothing but a fall ends an
+episode, `did not fall` is the share of robots, one mode each, that stay up for
+an episode of the task.
 """
 
 import dataclasses
 import functools
+import itertools
+import pathlib
 from typing import Mapping, Sequence
 
 from absl import flags
@@ -22,6 +30,8 @@ import tqdm
 
 from benchmarks import common
 from dmc_multimode import pretrained
+from dmc_multimode.arenas import layouts
+from dmc_multimode.arenas import track
 from dmc_multimode.bin import app
 from dmc_multimode.evaluation import evaluator as evaluator_lib
 from dmc_multimode.evaluation import scores
@@ -33,6 +43,7 @@ from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import mujoco_worlds
+from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import files
 from dmc_multimode.utils import schedule as schedules
 
@@ -43,21 +54,36 @@ _EPISODES = flags.DEFINE_integer(
 )
 _SEED = flags.DEFINE_integer('seed', 0, 'Of initial states and pushes.', 0)
 _OUT = common.define_out()
+_FALLS_ONLY = flags.DEFINE_bool('falls_only', False, 'Only `did not fall`.')
+_FALL_EPISODES = flags.DEFINE_integer(
+  'fall_episodes', 256, 'For `did not fall`, of all modes together.', 1
+)
 
+_FALL_COLUMNS = (
+  '=name | policy | did not fall=upright:.3f | worst mode=worst_upright:.3f | '
+  'which=worst_fall'
+)
 _COLUMNS = (
-  '=name | MRA modes=mra_modes:.3f | transitions=mra_transitions:.3f | '
-  'survival=survival_modes:.3f | transitions=survival_transitions:.3f | '
-  'worst transition=worst_transitions'
+  f'{_FALL_COLUMNS} | MRA modes=mra_modes:.3f | '
+  'transitions=mra_transitions:.3f | survival=survival_modes:.3f | '
+  'transitions=survival_transitions:.3f | worst transition=worst_transitions'
 )
 _PUSH_PERIOD = 1.0  # Seconds.
 
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-  """Makes it harder: an edge is farther, m; pushes are in m/s once a second.
+  """Makes it harder.
 
-  Mass and friction are factors of all; obstacles are the share of the commands
-  that meet one. No physics timestep is that of the training.
+  Attributes:
+    physics_timestep: seconds; that of the training if None.
+    edge: how much farther edges are, metres.
+    mass, friction: factors of all.
+    push: m/s, once a second.
+    obstacles: share of the commands that meet one.
+    torque_limit: of the servos, Nm; that of the robot if None.
+    slope: uphill, degrees.
+    bumps: greatest height of bumps, metres.
   """
 
   physics_timestep: float | None = None
@@ -66,6 +92,9 @@ class Case:
   friction: float = 1.0
   push: float = 0.0
   obstacles: float = 0.0
+  torque_limit: float | None = None
+  slope: float = 0.0
+  bumps: float = 0.0
 
 
 CASES: Mapping[str, Case] = {
@@ -81,7 +110,12 @@ CASES: Mapping[str, Case] = {
   'friction +10 %': Case(friction=1.1),
   'pushes': Case(push=0.3),
   'obstacles': Case(obstacles=1.0),
+  'torque limit 18 Nm': Case(torque_limit=18.0),
+  'slope 5 degrees': Case(slope=5.0),
+  'slope -5 degrees': Case(slope=-5.0),
+  'bumps of 3 cm': Case(bumps=0.03),
 }
+_BUMP, _BUMPS = 0.3, 24  # Length in metres, and their number.
 
 
 class Worlds(batched_env.BatchedImitation):
@@ -107,6 +141,7 @@ class Worlds(batched_env.BatchedImitation):
         ),
       ),
       episodes.ScheduledEpisodes(schedule),
+      _bumpy(case.bumps) if case.bumps else 'flat',
       config=dataclasses.replace(
         config,
         events=dataclasses.replace(
@@ -118,6 +153,12 @@ class Worlds(batched_env.BatchedImitation):
     model.body_mass *= case.mass
     model.body_inertia *= case.mass
     model.geom_friction[:, 0] *= case.friction
+    if case.torque_limit is not None:
+      limit = case.torque_limit
+      model.actuator_forcerange[:] = -limit, limit
+    tilt = np.deg2rad(case.slope)
+    gravity = np.linalg.norm(model.opt.gravity)
+    model.opt.gravity[:] = -gravity * np.sin(tilt), 0, -gravity * np.cos(tilt)
     mujoco.mj_setConst(model, mujoco.MjData(model))
     super().__init__(task, len(schedule), seed, auto_reset=False, model=model)
 
@@ -129,6 +170,18 @@ class Worlds(batched_env.BatchedImitation):
       direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
       self.qvel[:, :2] += self._case.push * direction
     return super().step(actions)
+
+
+def _bumpy(height: float) -> track.Track:
+  """Returns ground that is level to 0.6 m, then bumps up to `height` metres."""
+
+  def layout(random_state: np.random.RandomState) -> list[layouts.Piece]:
+    heights = random_state.uniform(0, height, _BUMPS)
+    bumps = [layouts.Piece(_BUMP, float(bump)) for bump in heights]
+    return [layouts.Piece(0.6), *bumps]
+
+  # Room for the ledges of the modes of a transition.
+  return track.Track(layout, 1 + _BUMPS + 2, adaptive=True)
 
 
 def _with_edge(
@@ -164,18 +217,45 @@ class Evaluator(evaluator_lib.Evaluator):
 def judge(
   name: str, policy: pretrained.Policy, episodes: int, seed: int
 ) -> common.Row:
-  """Returns the scores of `policy` in a case."""
+  """Returns MRA and survival of `policy` in a case."""
   case = Evaluator(CASES[name], policy, seed)
   judged = {
     'modes': scores.evaluate_modes(case, scores.MODE_FACTOR * episodes, 1.0),
     'transitions': scores.evaluate_transitions(case, episodes),
   }
-  row: common.Row = {'name': name}
+  row: common.Row = {}
   for kind, found in judged.items():
     for key in ('mra', 'survival'):
       row[f'{key}_{kind}'] = float(np.mean([r[key] for r in found.values()]))
     row[f'worst_{kind}'] = min(found, key=lambda label: found[label]['mra'])
   return row
+
+
+def falls(
+  name: str, policy: pretrained.Policy, episodes: int, seed: int
+) -> common.Row:
+  """Returns the share of robots that do not fall in a case.
+
+  Args:
+    name: of the case.
+    policy: to judge.
+    episodes: of all modes together.
+    seed: of initial states and pushes.
+  """
+  case = Evaluator(CASES[name], policy, seed)
+  free = case.changed(limits=terminations.falls_alone(case.config.limits))
+  modes = np.arange(episodes) % len(policy.mode_set)
+  found = free.run(schedule_lib.single(modes), name)
+  shares = {
+    policy.mode_set.names[i]: float(found.survived[modes == i].mean())
+    for i in np.unique(modes)
+  }
+  worst = min(shares, key=shares.__getitem__)
+  return {
+    'upright': float(found.survived.mean()),
+    'worst_upright': shares[worst],
+    'worst_fall': worst,
+  }
 
 
 def main(argv: Sequence[str]) -> None:
@@ -185,16 +265,23 @@ def main(argv: Sequence[str]) -> None:
   for name in names:
     if name not in CASES:
       raise ValueError(f'--cases: {name!r} is not one of {", ".join(CASES)}.')
-  policy = pretrained.load(_POLICY.value)
+  policies = {name: pretrained.load(name) for name in _POLICY.value.split(',')}
   print(f'{_POLICY.value}, mujoco {mujoco.__version__}')
+  columns = _FALL_COLUMNS if _FALLS_ONLY.value else _COLUMNS
   rows: list[common.Row] = []
-  for name in tqdm.tqdm(dict.fromkeys(names), unit='case'):
-    rows.append(judge(name, policy, _EPISODES.value, _SEED.value))
-    common.show(_COLUMNS, rows[-1])
+  pairs = itertools.product(dict.fromkeys(names), policies)
+  for name, policy in tqdm.tqdm([*pairs], unit='case'):
+    row: common.Row = {'name': name, 'policy': pathlib.Path(policy).name}
+    row |= falls(name, policies[policy], _FALL_EPISODES.value, _SEED.value)
+    if not _FALLS_ONLY.value:
+      row |= judge(name, policies[policy], _EPISODES.value, _SEED.value)
+    rows.append(row)
+    common.show(columns, row)
     report: common.Row = {'benchmark': 'robustness', 'table': rows}
     report |= {'policy': _POLICY.value, 'episodes': _EPISODES.value}
+    report['fall_episodes'] = _FALL_EPISODES.value
     common.write_report(out, {**report, 'seed': _SEED.value})
-  common.print_table(_COLUMNS, rows)
+  common.print_table(columns, rows)
 
 
 cli = functools.partial(app.run, main)

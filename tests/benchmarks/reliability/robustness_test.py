@@ -94,6 +94,24 @@ def test_pushes_come_once_a_second(folder: pathlib.Path) -> None:
   assert not np.array_equal(other.qvel, plain.qvel)
 
 
+def test_slope_bumps_and_weak_servos(folder: pathlib.Path) -> None:
+  worlds = _worlds(folder, robustness.Case(slope=5.0, torque_limit=18.0))
+  x, _, z = worlds.physics.model.opt.gravity
+  assert np.rad2deg(np.arctan2(-x, -z)) == pytest.approx(5.0)
+  assert np.hypot(x, z) == pytest.approx(9.81)
+  assert np.abs(worlds.physics.model.actuator_forcerange).max() == 18.0
+  worlds = _worlds(folder, robustness.Case(bumps=0.03), mode=1)
+  worlds.reset()
+  tops = worlds.core.terrain.tops
+  assert (tops[:, 0] == 0).all()
+  assert (tops[:, 1] == 0.4).all()  # The block of a launch stays what it is.
+  worlds = _worlds(folder, robustness.Case(bumps=0.03))
+  worlds.reset()
+  tops = worlds.core.terrain.tops[:, 1:25]
+  assert 0 <= tops.min() < 0.01 and 0.02 < tops.max() <= 0.03
+  assert len({tuple(row) for row in tops}) == 3
+
+
 def test_obstacles(folder: pathlib.Path) -> None:
   plan, case = (
     schedule.single(np.full(3, 1)),
@@ -123,6 +141,7 @@ def test_report(
   done = benchmark(
     f'--policy={folder}',
     '--episodes=1',
+    '--fall_episodes=3',
     f'--cases={",".join(names)}',
     f'--out={out}',
   )
@@ -133,6 +152,7 @@ def test_report(
   for row, line in zip(table, lines, strict=True):
     assert line.startswith(row['name'])
     assert 0 < row['mra_transitions'] < 1
+    assert row['policy'] == folder.name and 0 <= row['upright'] <= 1
     assert row['worst_modes'] in ('idle', 'launch')
   plain, fine, _, heavy, pushed = (row['mra_modes'] for row in table)
   assert len({plain, fine, heavy}) == 3
