@@ -69,7 +69,10 @@ _LANDING = _corner(
 )
 _SLIDING = {
   'loads': _column(2, 0, 11, 11, 11, 9, 11, 11, 0),
-  **_corner([7, 0.0, 0.01, 0.03, 7, 0.0, 0.03, 7], 0.001 * np.arange(2, 10)),
+  **_corner(
+    [7, 0.0, 0.01, 0.03, 7, 0.0, 0.03, 7],
+    [2e-3, 3e-3, 4e-3, 5e-3, 6e-3, 7e-3, 8e-3, 9e-3],
+  ),
 }
 
 
@@ -147,7 +150,7 @@ def test_a_shipped_policy(monkeypatch: pytest.MonkeyPatch) -> None:
   monkeypatch.setattr(motion, '_LONG', 2.0)
   policy = pretrained.load('pi2')
   evaluator = scores.make_evaluator(policy, quiet=True)
-  found = motion.evaluate(evaluator, episodes=1)
+  found: dict[str, Any] = {**motion.evaluate(evaluator, episodes=1)}
   assert tuple(found) == policy.mode_set.names
   for row in found.values():
     assert list(row) == [metric.name for metric in motion_metrics.TABLE]
@@ -195,10 +198,11 @@ def test_switching(monkeypatch: pytest.MonkeyPatch) -> None:
   found = switching.evaluate(evaluator, 6)
   assert found['from_ground'] == {'survival': 1.0, 'falls': {}}
   # A robot that holds one pose falls, whatever it is told.
-  evaluator.policy = types.SimpleNamespace(
+  policy: Any = types.SimpleNamespace(
     mode_set=evaluator.mode_set,
     select_action=lambda seen: np.ones((len(seen), 10)),
   )
+  evaluator.policy = policy
   found = switching.evaluate(evaluator, 6)
   for kind in ('any_moment', 'from_ground'):
     survival, falls = found[kind]['survival'], found[kind]['falls']

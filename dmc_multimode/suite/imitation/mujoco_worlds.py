@@ -126,7 +126,7 @@ class MujocoWorlds:
       }
 
     # Filled in place, so that a world that diverges takes no record away.
-    rows = zeros(np.count_nonzero(moving))
+    rows = zeros(int(np.count_nonzero(moving)))
     try:
       self.batch.rollout(num, record=[*rows], ids=moving, out=rows)
     finally:
