@@ -46,6 +46,9 @@ _CLOCK_RATES = flags.DEFINE_list(
   'clock_rates', None, 'Also measure how fast the modes go at these.'
 )
 _CLOCK_RATE = flags.DEFINE_float('clock_rate', 1.0, 'Of the modes.')
+_MOTION = flags.DEFINE_bool(
+  'motion', True, 'Measure how modes move; half of the time for a small set.'
+)
 _SWITCHING = flags.DEFINE_bool(
   'switching', False, 'Also command modes at random for 20 s.'
 )
@@ -95,6 +98,7 @@ def _evaluate(no_videos: str, communicator: distributed.Communicator) -> None:
     _TIMESTEP.value,
     communicator=communicator,
     switching_episodes=_SWITCHING.value * _SWITCHING_EPISODES.value,
+    with_motion=_MOTION.value,
   )
   values['provenance']['encoder_seed'] = encoder_seed
   if communicator.rank == 0:

@@ -285,6 +285,8 @@ def show(values: Mapping[str, Any]) -> None:
 def _show_motion(values: Mapping[str, Any]) -> None:
   """Prints the motion metrics, a line for each and a column for each mode."""
   modes = values.get('motion', {})
+  if not modes:
+    return
   print(f'\n{"motion":32}' + ''.join(f'{name[-13:]:>14}' for name in modes))
   for metric in motion_metrics.TABLE:
     title = f'{metric.name} {metric.unit}'

@@ -37,6 +37,7 @@ def evaluate(
   quiet: bool = False,
   communicator: distributed.Communicator = distributed.LOCAL,
   switching_episodes: int = 0,
+  with_motion: bool = True,
 ) -> dict[str, Any]:
   """Evaluates every mode and every transition, deterministically.
 
@@ -51,10 +52,11 @@ def evaluate(
     quiet: hides the progress bars.
     communicator: of the ranks, which share the episodes.
     switching_episodes: of random switches, see `switching.evaluate`.
+    with_motion: measures how the modes move, see `motion.evaluate`.
 
   Returns:
-    JSON values: those of `report`, `motion` (see `motion.evaluate`), what is
-    asked for besides, and the policy's `provenance`.
+    JSON values: those of `report`, what is asked for besides, and the policy's
+    `provenance`.
 
   Raises:
     FileNotFoundError: there is no such policy.
@@ -70,9 +72,10 @@ def evaluate(
     policy, seed, physics_timestep, quiet, communicator
   )
   values = report(evaluator, episodes, clock_rate)
-  values['motion'] = motion.evaluate(
-    evaluator, MODE_FACTOR * episodes, clock_rate
-  )
+  if with_motion:
+    values['motion'] = motion.evaluate(
+      evaluator, MODE_FACTOR * episodes, clock_rate
+    )
   if switching_episodes:
     values['switching'] = switching.evaluate(evaluator, switching_episodes)
   if clock_rates:

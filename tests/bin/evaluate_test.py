@@ -93,6 +93,7 @@ def test_page_where_nothing_draws(
   evaluate.start(
     f'--policy={policy}',
     '--episodes=1',
+    '--nomotion',
     f'--html={page}',
     # As if the warm-up had not imported what reads the variable.
     before="os.environ['MUJOCO_GL'] = 'nothing'; "
@@ -118,12 +119,13 @@ def test_clock_rates_and_figures(
     '--clock_rates=1,2.5',
     '--switching',
     '--switching_episodes=2',
+    '--nomotion',
     f'--out={out}',
     f'--figures={folder}',
   )
   assert done.code == 0, done.stderr
   report = json.loads(out.read_text())
-  assert report['switching']['episodes'] == 2
+  assert report['switching']['episodes'] == 2 and 'motion' not in report
   assert 'switches, from_ground: survival' in done.stdout
   rates = report['clock_rates']
   assert list(rates) == ['1', '2.5']
