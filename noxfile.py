@@ -1,6 +1,6 @@
 """Runs the tests with the newest and the lowest versions that setup.cfg allows.
 
-    nox -s newest lowest -- tests/suite
+    pip install nox && nox -s newest lowest -- tests/suite
 
 Each session is a fresh environment. `newest` has what pip finds within the
 bounds of setup.cfg, `lowest` every lower bound, `lowest_core` those of mujoco,

@@ -49,8 +49,7 @@ def test_report_of_one_rank_and_of_two(
   done = evaluate(*flags, f'--out={one}')
   assert done.code == 0, done.stderr
   assert done.stdout.splitlines()[-1] == f'The report is in {one}'
-  module = 'dmc_multimode.bin.evaluate'
-  shared = processes.run_ranks(module, *flags, f'--out={two}')
+  shared = evaluate(*flags, f'--out={two}', ranks=2)
   assert shared.code == 0, shared.stderr
   assert one.read_bytes() == two.read_bytes()
   assert shared.stdout.splitlines()[:-1] == done.stdout.splitlines()[:-1]

@@ -9,3 +9,13 @@ FLAGS = (
   '--modes=idle,walk_forward',
   '--one_hot',
 )
+# What is imported late, and what the first model costs.
+WARM_UP = """
+import torch
+from torch.utils import tensorboard
+torch.optim.Adam([torch.zeros(1)])
+from dmc_multimode.modes import library
+from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite.imitation import mujoco_worlds
+mujoco_worlds.compile_model(multimode_biped.make_task(library.mode_set('idle')))
+"""

@@ -1,12 +1,9 @@
-"""Tests of dmc_multimode.bin.train under torchrun."""
+"""Tests of dmc_multimode.bin.train in several processes."""
 
-import os
 import pathlib
 import signal
-import subprocess
-import sys
 import time
-from typing import Any, Callable, Sequence
+from typing import Any, Callable, Iterator
 
 import pytest
 import torch
@@ -20,93 +17,50 @@ from tests.bin import processes
 from tests.bin import short_run
 from tests.bin import untrained
 
-_ROOT = pathlib.Path(__file__).parents[2]
 _TIMEOUT = 300  # Seconds.
-# Runs the binary; every rank notes its network at the end. With a folder named
-# STALL_IN, ranks wait after the eighth iteration until they are ended, once.
-_RANK = """
-import functools, os, pathlib, sys, time
+_FLAGS = (*short_run.FLAGS, '--threads=2')
+_STEPS = f'--steps={short_run.STEPS}'
+
+
+def _note(folder: pathlib.Path) -> str:
+  """Code by which every rank writes its network at the end."""
+  return f"""
+import os, pathlib
 from dmc_multimode.agents import checkpointing
-from dmc_multimode.bin import train
-stall = pathlib.Path(os.environ.get('STALL_IN', '/nowhere'))
-rank = os.environ.get('RANK', '0')
-loop = train.runner.TrainingLoop
-if stall.is_dir():
-  train.runner.TrainingConfig = functools.partial(
-    train.runner.TrainingConfig, checkpoint_seconds=1e-9
-  )
-  collect = loop._collect
-  def _collect(self):
-    collect(self)
-    mark = stall / rank
-    if self.iterations == 8 and not mark.exists():
-      mark.with_suffix('.new').write_text(str(os.getpid()))
-      mark.with_suffix('.new').rename(mark)
-      while rank == '0':
-        time.sleep(0.01)
-  loop._collect = _collect
+loop, rank = binary.runner.TrainingLoop, os.environ['RANK']
 run = loop.run
 def _run(self, *args):
   run(self, *args)
-  weights = self._learner.network.state_dict()
-  checkpointing.save_tensors(
-    pathlib.Path(os.environ['NOTES']) / f'network{rank}', weights, {}
-  )
+  path = pathlib.Path({str(folder)!r}) / f'network{{rank}}'
+  checkpointing.save_tensors(path, self._learner.network.state_dict(), {{}})
 loop.run = _run
-train.cli()
 """
 
 
-class Launch:
-  """A training, and what its ranks have noted."""
-
-  def __init__(self, folder: pathlib.Path):
-    """Notes go into `folder`, the run into `folder/run`."""
-    folder.mkdir()
-    self.folder, self.run = folder, folder / 'run'
-    self._script = folder / 'rank.py'
-    self._script.write_text(_RANK)
-
-  def start(
-    self, *flags: str, launcher: Sequence[str] = (), **environment: str
-  ) -> subprocess.Popen[str]:
-    """Starts it, under a launcher or alone."""
-    return subprocess.Popen(
-      [
-        sys.executable,
-        *launcher,
-        str(self._script),
-        f'--run_dir={self.run}',
-        *short_run.FLAGS,
-        *flags,
-      ],
-      stdout=subprocess.PIPE,
-      stderr=subprocess.PIPE,
-      text=True,
-      cwd=_ROOT,
-      env={
-        **os.environ,
-        'PYTHONPATH': str(_ROOT),
-        'NOTES': str(self.folder),
-        # Restarts hang without in torch 2.13: see docs/SCALING.md.
-        'TORCH_DISABLE_SHARE_RDZV_TCP_STORE': '1',
-        **environment,
-      },
-    )
-
-  def network(self, rank: int) -> dict[str, torch.Tensor]:
-    """Returns what a rank has learned."""
-    return checkpointing.load_tensors(self.folder / f'network{rank}')[0]
+def _stall(folder: pathlib.Path) -> str:
+  """Code by which ranks wait once, after the eighth iteration, to be killed."""
+  return f"""
+import functools, time
+os.environ['TORCHELASTIC_RUN_ID'] = 'launch'
+binary.runner.TrainingConfig = functools.partial(
+  binary.runner.TrainingConfig, checkpoint_seconds=1e-9
+)
+collect = loop._collect
+def _collect(self):
+  collect(self)
+  mark = pathlib.Path({str(folder)!r}) / rank
+  if self.iterations == 8 and not mark.exists():
+    mark.with_suffix('.new').write_text(str(os.getpid()))
+    mark.with_suffix('.new').rename(mark)
+    while rank == '0':
+      time.sleep(0.01)
+loop._collect = _collect
+"""
 
 
-def _finish(process: subprocess.Popen[str]) -> tuple[str, str]:
-  """Returns stdout and stderr."""
-  try:
-    stdout, stderr = process.communicate(timeout=_TIMEOUT)
-  finally:
-    process.kill()
-  assert process.returncode == 0, stderr
-  return stdout, stderr
+def _network(folder: pathlib.Path, rank: int) -> dict[str, torch.Tensor]:
+  """Returns what a rank has learned."""
+  return checkpointing.load_tensors(folder / f'network{rank}')[0]
 
 
 def _assert_equal(one: dict[str, Any], other: dict[str, Any]) -> None:
@@ -123,52 +77,55 @@ def _wait_for(condition: Callable[[], Any]) -> None:
 
 
 @pytest.fixture(scope='module')
-def two(tmp_path_factory: pytest.TempPathFactory) -> Launch:
-  """A run of two ranks that nothing has interrupted."""
-  launch = Launch(tmp_path_factory.mktemp('two') / 'launch')
-  stdout, stderr = _finish(
-    launch.start(
-      '--threads=2',
-      f'--steps={short_run.STEPS}',
-      launcher=processes.torchrun(2),
-    )
-  )
+def train(
+  tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[processes.Binary]:
+  folder = tmp_path_factory.mktemp('output')
+  binary = processes.Binary('train', folder, short_run.WARM_UP)
+  yield binary
+  binary.close()
+
+
+@pytest.fixture(scope='module')
+def two(
+  train: processes.Binary, tmp_path_factory: pytest.TempPathFactory
+) -> pathlib.Path:
+  """The folder of a run of two ranks that nothing has interrupted."""
+  folder = tmp_path_factory.mktemp('two')
+  flags = f'--run_dir={folder / "run"}', *_FLAGS, _STEPS
+  done = train(*flags, before=_note(folder), ranks=2)
+  assert done.code == 0, done.stderr
   # Rank 0 alone has a say.
-  (line,) = stdout.splitlines()
-  assert (
-    line == f'{short_run.STEPS} steps; the policy is in {launch.run / "policy"}'
-  )
-  assert stderr.count('0.00/384') == 1
-  assert 'error' not in stderr and 'Traceback' not in stderr
-  return launch
+  (line,) = done.stdout.splitlines()
+  policy = folder / 'run' / 'policy'
+  assert line == f'{short_run.STEPS} steps; the policy is in {policy}'
+  assert done.stderr.count('0.00/384') == 1
+  assert 'error' not in done.stderr and 'Traceback' not in done.stderr
+  return folder
 
 
 @pytest.mark.slow
 def test_killed_rank_begins_again_and_ends_the_same(
-  two: Launch, tmp_path: pathlib.Path
+  train: processes.Binary, two: pathlib.Path, tmp_path: pathlib.Path
 ) -> None:
-  launch = Launch(tmp_path / 'killed')
-  marks = tmp_path / 'marks'
-  marks.mkdir()
-  process = launch.start(
-    '--threads=2',
-    f'--steps={short_run.STEPS}',
-    launcher=processes.torchrun(2, '--max-restarts=3'),
-    STALL_IN=str(marks),
-  )
-  try:
-    _wait_for(lambda: (marks / '0').exists() and (marks / '1').exists())
-    os.kill(int((marks / '1').read_text()), signal.SIGKILL)
-    stdout, _ = _finish(process)
-  finally:
-    process.kill()
-  assert f'Resuming at {7 * short_run.ITERATION} steps.' in stdout
-  for one in (launch, two):
+  """As torchrun begins again: with no other flags, by the launch's id."""
+  flags = f'--run_dir={tmp_path / "run"}', *_FLAGS, _STEPS
+  before = _note(tmp_path) + _stall(tmp_path)
+  train.start(*flags, before=before, ranks=2)
+  marks = [tmp_path / rank for rank in '10']
+  _wait_for(lambda: all(mark.exists() for mark in marks))
+  for mark in marks:
+    processes.send(int(mark.read_text()), signal.SIGKILL)
+  assert train.wait().code == -signal.SIGKILL
+  done = train(*flags, before=before, ranks=2)
+  assert done.code == 0, done.stderr
+  assert f'Resuming at {7 * short_run.ITERATION} steps.' in done.stdout
+  for one in (tmp_path, two):
     for rank in range(2):
-      _assert_equal(one.network(rank), two.network(0))
+      _assert_equal(_network(one, rank), _network(two, 0))
   (found, values), (expected, others) = (
-    checkpointing.load_tensors(one.run / checkpointing.NAME)
-    for one in (launch, two)
+    checkpointing.load_tensors(one / 'run' / checkpointing.NAME)
+    for one in (tmp_path, two)
   )
   _assert_equal(found, expected)
   assert values == others
@@ -176,35 +133,35 @@ def test_killed_rank_begins_again_and_ends_the_same(
   worlds = [found[f'{rank}environment/physics'] for rank in ('', 'rank1/')]
   assert len(worlds[0]) == len(worlds[1]) == 4
   assert not torch.equal(*worlds)
-  assert pretrained.load(two.run).provenance['steps'] == short_run.STEPS
+  steps = pretrained.load(two / 'run').provenance['steps']
+  assert steps == short_run.STEPS
 
 
-@pytest.mark.slow
-def test_two_ranks_begin_with_one_policy(tmp_path: pathlib.Path) -> None:
+def test_two_ranks_begin_with_one_policy(
+  train: processes.Binary, tmp_path: pathlib.Path
+) -> None:
   """Rank 0 alone reads it; steps are too small to be seen."""
   before = untrained.save_with_encoder(
     tmp_path / 'policy', ['idle', 'walk_forward'], {}
   )
-  launch = Launch(tmp_path / 'grown')
-  rates = [f'--ppo_{kind}learning_rate=1e-12' for kind in ('', 'min_', 'max_')]
-  _finish(
-    launch.start(
-      f'--init_from={tmp_path / "policy"}',
-      '--noone_hot',
-      '--ppo_hidden_sizes=16',
-      '--modes=idle,walk_forward,leap_forward',
-      '--threads=2',
-      f'--steps={2 * short_run.ITERATION}',
-      *rates,
-      launcher=processes.torchrun(2),
-    )
+  done = train(
+    f'--run_dir={tmp_path / "run"}',
+    *_FLAGS,
+    f'--init_from={tmp_path / "policy"}',
+    '--noone_hot',
+    '--modes=idle,walk_forward,leap_forward',
+    f'--steps={2 * short_run.ITERATION}',
+    *(f'--ppo_{kind}learning_rate=1e-12' for kind in ('', 'min_', 'max_')),
+    before=_note(tmp_path),
+    ranks=2,
   )
-  _assert_equal(launch.network(0), launch.network(1))
+  assert done.code == 0, done.stderr
+  _assert_equal(_network(tmp_path, 0), _network(tmp_path, 1))
   expected = before.network.state_dict()
-  for key, value in launch.network(1).items():
+  for key, value in _network(tmp_path, 1).items():
     if key.startswith(('policy.', 'value.')):
       torch.testing.assert_close(value, expected[key], atol=1e-9, rtol=0)
-  after = pretrained.load(launch.run)
+  after = pretrained.load(tmp_path / 'run')
   assert after.mode_set.names == ('idle', 'walk_forward', 'leap_forward')
 
 

@@ -34,17 +34,6 @@ loop._collect = lambda self: (
   collect(self), self.iterations == 8 and time.sleep(300)
 )
 """
-# What is imported late, and what the first model costs.
-_WARM_UP = """
-import torch
-from torch.utils import tensorboard
-torch.optim.Adam([torch.zeros(1)])
-from dmc_multimode.modes import library
-from dmc_multimode.suite import multimode_biped
-from dmc_multimode.suite.imitation import mujoco_worlds
-mujoco_worlds.compile_model(multimode_biped.make_task(library.mode_set('idle')))
-"""
-
 _BAD_MODE = """\
 name: wait
 kind: steady
@@ -69,9 +58,8 @@ _Files = dict[str, bytes]
 def train(
   tmp_path_factory: pytest.TempPathFactory,
 ) -> Iterator[processes.Binary]:
-  binary = processes.Binary(
-    'train', tmp_path_factory.mktemp('output'), _WARM_UP
-  )
+  folder = tmp_path_factory.mktemp('output')
+  binary = processes.Binary('train', folder, short_run.WARM_UP)
   yield binary
   binary.close()
 
