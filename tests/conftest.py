@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from dmc_multimode.viewer import gl
+from dmc_multimode.utils import gl
 
 try:
   gl.choose_backend()

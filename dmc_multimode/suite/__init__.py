@@ -13,10 +13,15 @@ modes, each commanded for a fraction of a second, and a trained policy is inside
 
 from typing import Any, Mapping
 
-from dm_control import suite as dm_suite
-import dm_env
+from dmc_multimode.utils import gl
 
-from dmc_multimode.suite import multimode_biped
+# dm_control reads MUJOCO_GL when it is imported, which the next lines do.
+gl.choose_late()
+
+from dm_control import suite as dm_suite  # noqa: E402
+import dm_env  # noqa: E402
+
+from dmc_multimode.suite import multimode_biped  # noqa: E402
 
 __all__ = ['ALL_TASKS', 'DOMAIN', 'load', 'multimode_biped', 'register']
 
@@ -50,7 +55,9 @@ def load(
     task_kwargs: for the task's factory: `time_limit`, `random`; `policy` of the
       tasks `reach_*`.
     environment_kwargs: for the environment's constructor.
-    visualize_reward: shows the reward in the colour of the robot's eye.
+    visualize_reward: shows the reward in the colour of the robot's eye (the
+      tasks have dm_control's tag `no_reward_visualization`, which says that
+      theirs are not the colours of its common materials).
 
   Raises:
     ValueError: the domain or task is unknown; the message lists ours.

@@ -192,7 +192,11 @@ def reach(
   # Knots end the episode, and random tracks differ in their number.
   kwargs = {'time_limit': np.inf, **(environment_kwargs or {})}
   environment = make_environment(task, random, kwargs)
-  return reaching_env.ReachingEnvironment(environment, policy, problem)
+  is_random = track_name == reaching.RANDOM_TRACK and time_limit is None
+  most_knots = None if is_random else first.knots
+  return reaching_env.ReachingEnvironment(
+    environment, policy, problem, most_knots
+  )
 
 
 def _register(
@@ -217,11 +221,15 @@ def _register(
 
 
 _EASY = ('idle', 'walk_forward')
+# Rewards are shown in the eye's colour, not in those of dm_control's common
+# materials, which its tests and demonstrations look at.
+_EVERY = ('no_reward_visualization',)
 # Not 'benchmarking': dm_control promises actions in [-1, 1] for these, and its
 # benchmark is a fixed set.
 for _mode in library.modes():
-  _register(_mode, imitation, _mode, 'easy' if _mode in _EASY else 'hard')
+  _level = 'easy' if _mode in _EASY else 'hard'
+  _register(_mode, imitation, _mode, _level, *_EVERY)
 for _set in ('pi1', 'pi2', 'pi3', 'pi_all'):
-  _register(_set, imitation, _set, 'hard', 'multimode')
+  _register(_set, imitation, _set, 'hard', 'multimode', *_EVERY)
 for _track in reaching.TRACKS:
-  _register(f'reach_{_track}', reach, _track, 'hard', 'reaching')
+  _register(f'reach_{_track}', reach, _track, 'hard', 'reaching', *_EVERY)

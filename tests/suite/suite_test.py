@@ -49,13 +49,12 @@ def _trajectory(
 
 @pytest.mark.parametrize('task', _TASKS)
 def test_contract(task: str) -> None:
-  """dm_control's checks of its own suite, of every task of ours."""
+  """What dm_control's tests of its suite leave open; see `upstream_test`."""
   env, same = _load(task), _load(task)
-  _check_model(env)
   spec = env.action_spec()
   assert isinstance(spec, specs.BoundedArray)
   assert spec.shape == (() if isinstance(spec, specs.DiscreteArray) else (10,))
-  parts, firsts = env.observation_spec(), []
+  parts = env.observation_spec()
   # A step is worth at most 1, or that for each control step in it.
   highest = env.control_timestep() / env.task.control_timestep
   for step, other in zip(_trajectory(env), _trajectory(same), strict=True):
@@ -63,44 +62,19 @@ def test_contract(task: str) -> None:
     assert step[:3] == other[:3]
     for name, value in step.observation.items():
       parts[name].validate(value)
-      assert np.isfinite(value).all(), name
       np.testing.assert_array_equal(value, other.observation[name])
-    if step.first():
-      firsts.append(step.observation)
-    else:
+    if not step.first():
       assert isinstance(step.reward, float)
       assert 0.0 <= step.reward <= highest
       assert step.discount in (0.0, 1.0)
-  assert not all(
-    np.array_equal(firsts[0][name], firsts[1][name]) for name in parts
-  )
-
-
-def _check_model(env: dm_env.Environment) -> None:
-  """Everything has a name, and is to be looked at."""
-  model = env.physics.model
-  assert model.ncam >= 2
-  for kind, count in (
-    ('body', model.nbody),
-    ('joint', model.njnt),
-    ('geom', model.ngeom),
-    ('actuator', model.nu),
-    ('sensor', model.nsensor),
-    ('camera', model.ncam),
-  ):
-    assert all(model.id2name(i, kind) for i in range(count))
 
 
 @pytest.mark.parametrize('task', ['idle', 'pi2', 'reach_gap'])
-def test_seeds_differ_and_observations_share_no_memory(task: str) -> None:
-  env, other = _load(task), _load(task, 1)
-  first = env.reset().observation
-  assert not np.array_equal(
-    first['joints_pos'], other.reset().observation['joints_pos']
+def test_seeds_differ(task: str) -> None:
+  first, other = (
+    _load(task, seed).reset().observation['joints_pos'] for seed in range(2)
   )
-  second = env.step(env.action_spec().generate_value()).observation
-  for name, value in first.items():
-    assert not np.may_share_memory(value, second[name]), name
+  assert not np.array_equal(first, other)
 
 
 class _EnvironmentTests(test_utils.EnvironmentTestMixin):
@@ -177,6 +151,7 @@ def test_dm_control_lists_it_and_loads_it() -> None:
   assert ours <= set(dm_suite.ALL_TASKS)
   assert set(dm_suite.TASKS_BY_DOMAIN[_DOMAIN]) == set(_TASKS)
   assert ours <= set(dm_suite.EXTRA)
+  assert not ours & set(dm_suite.REWARD_VIZ)
   # Its own test wants actions in [-1, 1] of the tasks in this one.
   assert not ours & set(dm_suite.BENCHMARKING)
   assert ours <= set(dm_suite.EASY + dm_suite.HARD)

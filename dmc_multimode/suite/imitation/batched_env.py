@@ -149,10 +149,15 @@ class BatchedImitation:
     """Seconds between actions."""
     return self.config.control_timestep
 
-  def reset(self) -> np.ndarray:
-    """Begins an episode in every world; returns the observations."""
-    self._begin(np.arange(self.num_worlds))
-    self._ended[:] = False
+  def reset(self, worlds: np.ndarray | None = None) -> np.ndarray:
+    """Begins episodes; returns the observations of all worlds.
+
+    Args:
+      worlds: indices of those that begin anew, [N]; all by default.
+    """
+    ids = np.arange(self.num_worlds) if worlds is None else worlds
+    self._begin(ids)
+    self._ended[ids] = False
     return self._observe()
 
   def reset_alike(self) -> np.ndarray:

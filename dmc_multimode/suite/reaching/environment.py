@@ -56,10 +56,12 @@ def load_policy(
 class ReachingEnvironment(dm_env.Environment):
   """One step commands one mode for one knot; a policy moves the robot.
 
-  An action is the index of a mode, see `mode_names`. The reward is the sum of
-  exp(-|goal - p|) over the knot's control steps, p being the position of the
-  trunk in metres, and zero from a fall on. An episode ends with the last knot,
-  with discount 1, or with a fall, with discount 0.
+  An action is the index of a mode, see `mode_names`. Policies for dm_control's
+  suite draw floating-point numbers between the bounds of any specification;
+  such a number is rounded. The reward is the sum of exp(-|goal - p|) over the
+  knot's control steps, p being the position of the trunk in metres, and zero
+  from a fall on. An episode ends with the last knot, with discount 1, or with a
+  fall, with discount 0.
 
   Observations are float64 and of the end of a knot. With M modes:
 
@@ -79,6 +81,12 @@ class ReachingEnvironment(dm_env.Environment):
       gap
 
   The paper's planner sees none of it.
+
+  Attributes that it lacks are those of the `composer.Environment` inside, as
+  for dm_control's own wrappers.
+
+  Attributes:
+    most_knots: the most knots of any episode; None if unknown.
   """
 
   def __init__(
@@ -86,6 +94,7 @@ class ReachingEnvironment(dm_env.Environment):
     environment: composer.Environment,
     policy: reaching.Policy,
     problem: Callable[[terrain_lib.Terrain], reaching.ReachingConfig],
+    most_knots: int | None = None,
   ):
     """Takes over an environment.
 
@@ -96,12 +105,15 @@ class ReachingEnvironment(dm_env.Environment):
       problem: returns the problem on a terrain (a batch of one). Its knot
         duration must not vary; the number of knots and the goal may, from
         episode to episode. Its seed is not used.
+      most_knots: the most knots of any episode, if that is known.
 
     Raises:
       ValueError: a knot is not a whole number of control steps, or the goal not
         over the track.
     """
-    self._environment, self._policy = environment, policy
+    self.most_knots = most_knots
+    # By this name wrappers of dm_control's environments find the innermost.
+    self._env, self._policy = environment, policy
     self._task: composer_task.Imitation = environment.task
     self._problem = problem
     self._pose_problem()
@@ -122,7 +134,7 @@ class ReachingEnvironment(dm_env.Environment):
   @property
   def inner(self) -> composer.Environment:
     """Environment of the control steps, for videos."""
-    return self._environment
+    return self._env
 
   @property
   def task(self) -> composer_task.Imitation:
@@ -132,12 +144,26 @@ class ReachingEnvironment(dm_env.Environment):
   @property
   def physics(self) -> Any:
     """A weak proxy of the physics; renders."""
-    return self._environment.physics
+    return self._env.physics
 
   @property
   def random_state(self) -> np.random.RandomState:
     """Source of all randomness."""
-    return self._environment.random_state
+    return self._env.random_state
+
+  @property
+  def _random_state(self) -> np.random.RandomState:
+    """The same, by the name under which others seed Composer environments."""
+    return self._env._random_state
+
+  @_random_state.setter
+  def _random_state(self, random_state: np.random.RandomState) -> None:
+    self._env._random_state = random_state
+
+  def __getattr__(self, name: str) -> Any:
+    if name.startswith('_'):
+      raise AttributeError(name)
+    return getattr(self._env, name)
 
   @property
   def mode_names(self) -> tuple[str, ...]:
@@ -181,7 +207,7 @@ class ReachingEnvironment(dm_env.Environment):
 
   def reset(self) -> dm_env.TimeStep:
     """Begins an episode."""
-    self._environment.reset()
+    self._env.reset()
     self._pose_problem()
     self._knot, self._over = 0, False
     return dm_env.restart(self._observe())
@@ -190,10 +216,10 @@ class ReachingEnvironment(dm_env.Environment):
     """Commands a mode and runs one knot; after an episode's end, resets.
 
     Args:
-      action: index of the mode.
+      action: index of the mode; see the class for other numbers.
 
     Raises:
-      ValueError: the index is out of range.
+      ValueError: it is no number, or out of range.
     """
     if self._over:
       return self.reset()
@@ -207,13 +233,13 @@ class ReachingEnvironment(dm_env.Environment):
 
   def _checked(self, action: int | np.ndarray) -> int:
     index, names = np.asarray(action), self.mode_names
-    is_index = index.shape == () and np.issubdtype(index.dtype, np.integer)
-    if not (is_index and 0 <= index < len(names)):
+    is_number = index.shape == () and index.dtype.kind in 'iuf'
+    if not (is_number and 0 <= index <= len(names) - 1):
       listed = ', '.join(f'{i} {name}' for i, name in enumerate(names))
       raise ValueError(
         f'An action is the index of a mode ({listed}), got {action!r}.'
       )
-    return int(index)
+    return int(np.rint(index))
 
   def _run_knot(self) -> tuple[float, dm_env.TimeStep]:
     """Returns the reward, and the time step of the last control step."""
@@ -221,7 +247,7 @@ class ReachingEnvironment(dm_env.Environment):
     for _ in range(self._knot_steps):
       seen = observations.flatten(self._task.observation)
       action = self._policy.select_action(seen)[0].astype(np.float64)
-      timestep = self._environment.step(action)
+      timestep = self._env.step(action)
       if timestep.discount:
         position = self.physics.data.qpos[None, :3]
         reward += float(reaching.rewards(position, self.goal)[0])
@@ -245,4 +271,4 @@ class ReachingEnvironment(dm_env.Environment):
 
   def close(self) -> None:
     """Frees the physics."""
-    self._environment.close()
+    self._env.close()

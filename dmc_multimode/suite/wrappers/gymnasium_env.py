@@ -5,12 +5,17 @@
     env = gymnasium.make('dmc_multimode/walk_forward-v0')
     envs = gymnasium.make_vec('dmc_multimode/walk_forward-v0', num_envs=64)
 
-Importing this module registers every task of the suite. Many environments of an
-imitation task are one batch of worlds, stepped in one call (see
-`gymnasium_vector_env`); `make_vec` with `vectorization_mode='sync'` or
-`'async'` makes as many single ones instead.
+Importing this module registers every task of the suite. A process that has not
+imported it, such as one of `SubprocVecEnv`, takes the identifier with this
+module before it, `MODULE:dmc_multimode/walk_forward-v0`.
+
+Many environments of an imitation task are one batch of worlds, stepped in one
+call (see `gymnasium_vector_env`); `make_vec` with `vectorization_mode='sync'`
+or `'async'` makes as many single ones instead.
 """
 
+import copy
+import math
 from typing import Any, Mapping
 
 import dm_env
@@ -19,7 +24,8 @@ import numpy as np
 
 from dmc_multimode import suite
 from dmc_multimode.suite import multimode_biped
-from dmc_multimode.suite.imitation import observations
+from dmc_multimode.suite.reaching import environment as reaching_env
+from dmc_multimode.suite.wrappers import frames
 
 try:
   import gymnasium
@@ -35,6 +41,7 @@ _VECTOR_ENTRY_POINT = (
 NAMESPACE = 'dmc_multimode'
 _VERSION = 0
 SEEDS = 2**32  # Seeds of a RandomState.
+_ROUNDING = 1e-6  # Control steps.
 
 
 class GymnasiumEnv(gymnasium.Env[np.ndarray, Any]):
@@ -45,7 +52,7 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, Any]):
   [10], or the index of a mode.
   """
 
-  metadata: dict[str, Any] = {'render_modes': ['rgb_array']}
+  metadata: dict[str, Any] = {'render_modes': list(frames.View.MODES)}
 
   def __init__(
     self,
@@ -60,28 +67,36 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, Any]):
     Args:
       environment: as `suite.load` returns it, of a task of ours.
       render_mode: None or 'rgb_array'.
-      width, height: of the frames, pixels.
+      width, height: of the frames, pixels, up to 4096.
       camera: of the model, whose view is rendered.
 
     Raises:
-      ValueError: the render mode is unknown.
+      OSError: there is no OpenGL here to render with.
+      ValueError: the render mode or camera is unknown, or the size is none.
     """
-    if render_mode not in (None, *self.metadata['render_modes']):
-      raise ValueError(
-        f'Unknown render mode {render_mode!r}: use None or "rgb_array".'
-      )
     self._environment, self._task = environment, environment.task
+    self._view = frames.View(self._task, render_mode, width, height, camera)
+    self.render_mode = render_mode
     self._episodes = self._task.episodes.state()
     self._over, self._closed = True, False
-    self.render_mode = render_mode
-    self._view = {'width': width, 'height': height, 'camera_id': camera}
+    self._spec: Any = None
     rate = round(1 / environment.control_timestep())
     self.metadata = {**self.metadata, 'render_fps': rate}
     parts = environment.observation_spec().values()
+    size = sum(math.prod(part.shape) for part in parts)
     self.observation_space = gymnasium.spaces.Box(
-      -np.inf, np.inf, (sum(part.shape[0] for part in parts),), np.float32
+      -np.inf, np.inf, (size,), np.float32
     )
     self.action_space = space(environment.action_spec())
+
+  @property
+  def spec(self) -> Any:
+    """Gymnasium's `EnvSpec`, with the steps to the time limit; or None."""
+    return self._spec
+
+  @spec.setter
+  def spec(self, spec: Any) -> None:
+    self._spec = limited(spec, most_steps(self._environment))
 
   def reset(
     self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -93,7 +108,11 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, Any]):
         learned is forgotten as well, so that equal seeds and actions lead to
         equal episodes.
       options: none are known.
+
+    Raises:
+      gymnasium.error.ClosedEnvironmentError: after `close`.
     """
+    self._check_open()
     super().reset(seed=seed, options=options)
     if seed is not None:
       # Ends the running episode first: its update of the sampler must come
@@ -110,35 +129,88 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, Any]):
     """Applies an action of `action_space`; see `gymnasium.Env.step`.
 
     Raises:
+      gymnasium.error.ClosedEnvironmentError: after `close`.
       gymnasium.error.ResetNeeded: no episode is running.
+      ValueError: the action is none of the space.
     """
+    self._check_open()
     if self._over:
       raise gymnasium.error.ResetNeeded('Call reset() to begin an episode.')
-    timestep = self._environment.step(np.asarray(action))
+    timestep = self._environment.step(self._checked(action))
     self._over = timestep.last()
     terminated = self._over and timestep.discount == 0.0
     truncated = self._over and not terminated
     observation, info = self._see(timestep)
     return observation, float(timestep.reward), terminated, truncated, info
 
+  def _checked(self, action: Any) -> np.ndarray:
+    """Returns the action; a number that is no index is none of a `Discrete`."""
+    is_index = isinstance(self.action_space, gymnasium.spaces.Discrete)
+    if is_index and action not in self.action_space:
+      raise ValueError(
+        f'An action is the index of a mode, below {self.action_space.n}, got '
+        f'{action!r}.'
+      )
+    return np.asarray(action)
+
+  def _check_open(self) -> None:
+    if self._closed:
+      raise closed()
+
   def _see(
     self, timestep: dm_env.TimeStep
   ) -> tuple[np.ndarray, dict[str, Any]]:
     """Returns the flat observation and the info."""
-    flat = observations.flatten(timestep.observation)
-    return flat, {'mode': self._task.mode}
+    # Not by `observations.flatten`: parts may have a buffer's axis.
+    parts = [np.ravel(part) for part in timestep.observation.values()]
+    flat = np.concatenate(parts, dtype=np.float32, casting='unsafe')
+    return flat, {'mode': int(self._task.core.tracker.state.mode[0])}
+
+  @property
+  def mode_names(self) -> tuple[str, ...]:
+    """Names of the modes, in the order of the indices in `infos['mode']`."""
+    return self._task.mode_set.names
 
   def render(self) -> np.ndarray | None:
-    """Returns a frame, uint8 [height, width, 3]; None without render mode."""
+    """Returns a frame, uint8 [height, width, 3]; None without render mode.
+
+    Raises:
+      gymnasium.error.ClosedEnvironmentError: after `close`.
+    """
+    self._check_open()
     if self.render_mode is None:
       return None
-    return self._environment.physics.render(**self._view)
+    return self._view.draw(self._environment.physics)
 
   def close(self) -> None:
     """Frees the physics; doing so again is harmless."""
     if not self._closed:
       self._closed = True
       self._environment.close()
+
+
+def closed() -> Exception:
+  """Returns the error of using an environment that has been closed."""
+  return gymnasium.error.ClosedEnvironmentError(
+    'The environment is closed: make another.'
+  )
+
+
+def most_steps(environment: dm_env.Environment) -> int | None:
+  """Returns the steps of the longest episode; None if it has no such bound."""
+  if isinstance(environment, reaching_env.ReachingEnvironment):
+    return environment.most_knots
+  # `Environment` tells nobody its limit, which its arguments may override.
+  steps = environment._time_limit / environment.control_timestep()
+  return math.ceil(steps - _ROUNDING) if math.isfinite(steps) else None
+
+
+def limited(spec: Any, steps: int | None) -> Any:
+  """Returns a copy of an `EnvSpec` with these steps in an episode."""
+  if spec is not None and steps is not None:
+    spec = copy.copy(spec)
+    spec.max_episode_steps = steps
+  return spec
 
 
 def space(spec: specs.BoundedArray) -> gymnasium.Space[Any]:

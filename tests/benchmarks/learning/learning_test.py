@@ -170,7 +170,7 @@ def test_report(benchmark: processes.Binary, tmp_path: pathlib.Path) -> None:
     *_TINY,
     f'--learners={",".join(names)}',
     '--steps=40',
-    '--eval_steps=20,40',
+    '--eval_steps=0,20,40',
     '--rounds=2',
     f'--out={out}',
   )
@@ -189,14 +189,16 @@ def test_report(benchmark: processes.Binary, tmp_path: pathlib.Path) -> None:
     assert low <= row['update_ratio'] <= high
   # Evaluations follow the end of an iteration, here of 8 steps.
   rows = [(row['steps'], row['name']) for row in report['learning']]
-  assert rows == [(steps, name) for steps in (24, 40) for name in names]
+  assert rows == [(steps, name) for steps in (0, 24, 40) for name in names]
   for row in report['learning']:
     assert 0 < row['mra_modes'] <= 1 and 0 < row['mra_transitions'] <= 1
     assert list(row['modes']) == ['idle']
     assert list(row['transitions']) == ['idle->idle']
-    assert row['steps_per_second'] == pytest.approx(
-      row['steps'] / row['seconds']
+    assert row['steps_per_second'] * row['seconds'] == pytest.approx(
+      row['steps']
     )
+    first = report['learning'][names.index(row['name'])]
+    assert row['gain'] == pytest.approx(row['mra_modes'] / first['mra_modes'])
     assert f'{row["mra_modes"]:.3f}' in done.stdout
 
 

@@ -4,6 +4,7 @@ import functools
 import types
 from typing import Any
 
+from dm_control import composer
 import dm_env
 import numpy as np
 import pytest
@@ -220,12 +221,27 @@ def test_random_track_changes_from_episode_to_episode() -> None:
 def test_action_is_a_mode() -> None:
   env = _load('gap', policy=_Puppet())
   env.reset()
-  for wrong in (-1, 4, 1.0, True, 'idle', None, [1], np.array([0, 1])):
+  wrong_ones = (-1, 4, 3.4, -0.1, np.nan, True, 'idle', None, [1], np.zeros(2))
+  for wrong in wrong_ones:
     with pytest.raises(ValueError, match=r'a mode \(0 idle, 1 walk_for'):
       env.step(wrong)
-  for right in (1, np.int64(1), np.array(1, np.int32)):
+  # Floating-point numbers are what dm_control's policies have for every task.
+  for right in (1, np.int64(1), np.array(1, np.int32), 1.0, np.float32(0.6)):
     env.step(right)
     assert env.task.mode == 'walk_forward'
+
+
+def test_is_wrapped_and_seeded_as_composer_environments_are() -> None:
+  env = _load('gap', policy=_Puppet())
+  assert isinstance(env._env, composer.Environment)
+  firsts = []
+  for seed in (7, 7, 8):
+    env._random_state = np.random.RandomState(seed)  # As shimmy does.
+    firsts.append(env.reset().observation['joints_pos'])
+  assert env.random_state is env._env.random_state
+  np.testing.assert_array_equal(firsts[0], firsts[1])
+  assert not np.array_equal(firsts[0], firsts[2])
+  assert not hasattr(env, 'no_such_name')
 
 
 def test_no_policy() -> None:

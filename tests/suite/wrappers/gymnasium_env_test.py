@@ -22,15 +22,9 @@ gymnasium_env = importlib.import_module(
 vector_env = importlib.import_module(
   'dmc_multimode.suite.wrappers.gymnasium_vector_env'
 )
-env_checker = importlib.import_module('gymnasium.utils.env_checker')
+wrappers = importlib.import_module('gymnasium.wrappers.vector')
+_Autoreset = gymnasium.vector.AutoresetMode
 
-# Joint targets are in radians and what robots do has no bounds: both advised
-# against, and meant. Rendering is tested on its own.
-_EXPECTED_WARNINGS = (
-  'Box observation space minimum value is -infinity',
-  'Box observation space maximum value is infinity',
-  'we recommend using a symmetric and normalized space',
-)
 _KICK = np.full(10, 3.0, dtype=np.float32)  # Joint targets, radians: it falls.
 
 
@@ -78,21 +72,6 @@ def test_without_gymnasium_one_line_says_what_to_install() -> None:
   )
 
 
-@pytest.mark.parametrize('task', [task for _, task in suite.ALL_TASKS])
-def test_gymnasiums_own_check(task: str) -> None:
-  env = _make(task)
-  with warnings.catch_warnings(record=True) as caught:
-    warnings.simplefilter('always')
-    env_checker.check_env(env.unwrapped, skip_render_check=True)
-  env.close()
-  assert not [
-    str(warning.message)
-    for warning in caught
-    if 'gymnasium' in warning.filename
-    and not any(text in str(warning.message) for text in _EXPECTED_WARNINGS)
-  ]
-
-
 def test_observation_is_the_suites_in_the_order_of_the_layout() -> None:
   environment = suite.load('multimode_biped', 'pi2', {'random': 1})
   env = gymnasium_env.GymnasiumEnv(environment)
@@ -112,9 +91,9 @@ def test_modes_as_actions() -> None:
   assert env.action_space.dtype == np.int64
   observation, info = env.reset(seed=1)
   assert observation.shape == env.observation_space.shape
-  assert info == {'mode': 'idle'}
+  assert info == {'mode': env.unwrapped.mode_names.index('idle')}
   _, reward, *_, info = env.step(env.action_space.dtype.type(1))
-  assert info == {'mode': 'walk_forward'}
+  assert info == {'mode': 1}
   assert 0.0 <= reward <= 10.0  # Of ten control steps.
   with pytest.raises(ValueError, match='index of a mode'):
     env.unwrapped.step(1.5)
@@ -141,8 +120,61 @@ def test_step_needs_a_running_episode() -> None:
   env.step(_KICK)
   with pytest.raises(gymnasium.error.ResetNeeded):
     env.step(_KICK)
+
+
+@pytest.mark.parametrize('count', [None, 2])
+def test_nothing_is_done_after_close(count: int | None) -> None:
+  env = _batch('idle', count) if count else gymnasium_env.make('idle')
+  env.reset(seed=0)
   env.close()
   env.close()  # Which is harmless.
+  for call in (env.reset, env.render, lambda: env.step(_KICK)):
+    with pytest.raises(gymnasium.error.ClosedEnvironmentError, match='closed'):
+      call()
+
+
+# Buffers and axes that Composer environments can be asked for.
+@pytest.mark.parametrize(
+  ('task', 'depth', 'size'),
+  [('walk_forward', 1, 37), ('walk_forward', 3, 41), ('reach_gap', 1, 71)],
+)
+def test_observation_has_the_declared_size(
+  task: str, depth: int, size: int
+) -> None:
+  kwargs = {'environment_kwargs': {'strip_singleton_obs_buffer_dim': False}}
+  env = _make(task, task_kwargs=kwargs)
+  inner = env.unwrapped._environment
+  if depth > 1:
+    inner.task.task_observables['clock'].buffer_size = depth
+    inner.task.task_observables['height'].aggregator = 'mean'
+    inner._recompile_physics_and_update_observables()
+  env = gymnasium_env.GymnasiumEnv(inner)
+  observation, _ = env.reset(seed=0)
+  assert observation in env.observation_space
+  assert observation.shape == (size,)
+
+
+@pytest.mark.parametrize(
+  ('task', 'limit', 'steps'),
+  [
+    ('walk_forward', {}, 150),
+    ('walk_forward', {'time_limit': 9.0}, 300),
+    ('walk_forward', {'time_limit': 9.0, 'max_episode_steps': 7}, 7),
+    ('reach_gap', {}, 11),
+    ('reach_parkour', {'time_limit': 0.6}, 4),
+    ('reach_parkour', {}, None),
+  ],
+)
+def test_spec_tells_the_time_limit(
+  task: str, limit: dict[str, Any], steps: int | None
+) -> None:
+  assert _make(task, **limit).spec.max_episode_steps == steps
+  if not task.startswith('reach'):
+    envs = _batch(task, 2, **limit)
+    assert envs.spec.max_episode_steps == steps
+    assert envs._worlds.config.horizon == steps
+    with pytest.raises(ValueError, match='max_episode_steps.*time_limit'):
+      _batch(task, 2, max_episode_steps=151)
 
 
 def _run(env: Any, seed: int | None, steps: int) -> tuple[Any, ...]:
@@ -182,21 +214,68 @@ def test_other_seeds_lead_to_other_episodes(seed: int | None) -> None:
 
 
 @pytest.mark.gl
-def test_frame() -> None:
-  env = _make('idle', render_mode='rgb_array', width=64, height=48)
+@pytest.mark.parametrize('size', [(64, 48), (801, 611)])
+def test_frame(size: tuple[int, int]) -> None:
+  width, height = size
+  env = _make('idle', render_mode='rgb_array', width=width, height=height)
   assert env.metadata['render_fps'] == 33
   env.reset(seed=0)
+  env.unwrapped._environment.physics.render(32, 32)  # Before, and smaller.
   frame = env.render()
-  assert (frame.shape, frame.dtype) == ((48, 64, 3), np.uint8)
-  assert frame.std() > 5.0
+  assert (frame.shape, frame.dtype) == ((height, width, 3), np.uint8)
+  assert frame[:, -width // 8 :].std() > 5.0 and frame.std() > 5.0
+
+
+@pytest.mark.gl
+def test_frames_of_a_batch() -> None:
+  view = {'render_mode': 'rgb_array', 'width': 64, 'height': 48}
+  envs = _batch('pi2', 5, **view)
+  envs.reset(seed=0)
+  frames = envs.render()
+  assert [frame.shape for frame in frames] == [(48, 64, 3)] * 5
+  [picture] = _batch_like(envs, **view, render_worlds=3, render_grid=True)
+  for frame, place in zip(frames, np.ndindex(2, 2), strict=False):
+    row, column = place[0] * 48, place[1] * 64
+    cell = picture[row : row + 48, column : column + 64]
+    expected = frame if place != (1, 1) else 0 * frame
+    np.testing.assert_array_equal(cell, expected)
+  envs.unwrapped._worlds.qpos[:, 2] += 5.0  # Out of sight.
+  assert abs(envs.render()[0].astype(float) - frames[0]).mean() > 1.0
+
+
+def _batch_like(envs: Any, **kwargs: Any) -> Any:
+  """Frames of other environments in the same state."""
+  other = _batch('pi2', envs.num_envs, **kwargs)
+  other.reset(seed=0)
+  return other.render()
+
+
+@pytest.mark.parametrize('count', [None, 2])
+@pytest.mark.parametrize(
+  ('view', 'message'),
+  [
+    ({'width': 0}, 'width must be a whole number of pixels from 1 to 4096'),
+    ({'height': -480}, 'height must'),
+    ({'height': 480.0}, 'height must'),
+    ({'width': 100_000}, 'width must'),
+    ({'camera': 'top'}, "'top'; cameras are .*walker/side"),
+    ({'render_mode': 'human'}, 'render mode'),
+  ],
+)
+def test_refuses_what_cannot_be_drawn(
+  count: int | None, view: dict[str, Any], message: str
+) -> None:
+  with pytest.raises(ValueError, match=message):
+    if count:
+      vector_env.make_vector('idle', count, **view)
+    else:
+      gymnasium_env.make('idle', **view)
 
 
 def test_no_frame_without_a_render_mode() -> None:
   env = gymnasium_env.make('idle')
   env.reset()
   assert env.render() is None
-  with pytest.raises(ValueError, match='render mode'):
-    gymnasium_env.make('idle', render_mode='human')
 
 
 @pytest.mark.slow
@@ -251,11 +330,106 @@ def test_worlds_of_a_batch_begin_anew_in_the_step_in_which_they_end() -> None:
       final = infos['final_obs'][world]
       assert final in envs.single_observation_space
       assert not np.array_equal(final, observation[world])
-      assert infos['final_info']['mode'][world] == 'idle'
+      assert infos['final_info']['mode'][world] == 0
   assert truncated[[0, 2]].all() and not terminated[[0, 2]].any()
   envs = _batch('idle', 1, time_limit=3.0)
   envs.reset(seed=0)
   assert _last(envs, _KICK[None], 99)[1:] == (True, False)
+
+
+@pytest.mark.parametrize('mode', _Autoreset)
+def test_worlds_begin_anew_as_those_of_gymnasium_do(mode: Any) -> None:
+  ours = _batch('idle', 2, time_limit=0.09, autoreset_mode=mode.value)
+  theirs = _batch(
+    'idle',
+    2,
+    time_limit=0.09,
+    vectorization_mode='sync',
+    vector_kwargs={'autoreset_mode': mode},
+  )
+  assert ours.metadata['autoreset_mode'] is ours.autoreset_mode is mode
+  actions = np.tile(ours._worlds.standing_action(), (2, 1)).astype(np.float32)
+
+  def run(envs: Any) -> list[Any]:
+    first, _ = envs.reset(seed=0)
+    mask = np.array([True, False])
+    second, _ = envs.reset(options={'reset_mask': mask})
+    assert (first == second).all(axis=1).tolist() == [False, True]
+    envs.step(actions)
+    envs.reset(options={'reset_mask': mask})  # World 0 is a step behind.
+    seen = []
+    for _ in range(9):
+      observation, reward, terminated, truncated, infos = envs.step(actions)
+      assert observation in envs.observation_space
+      done = terminated | truncated
+      seen.append([(reward > 0.5), terminated, truncated, sorted(infos)])
+      if mode is _Autoreset.DISABLED and done.any():
+        if envs is ours:  # Theirs would step the other world.
+          with pytest.raises(gymnasium.error.ResetNeeded, match='reset_mask'):
+            envs.step(actions)
+        envs.reset(options={'reset_mask': done})
+    return seen
+
+  np.testing.assert_equal(run(ours), run(theirs))
+
+
+@pytest.mark.parametrize(
+  ('mask', 'error'),
+  [
+    ([True, False], TypeError),
+    (np.array([1, 0]), TypeError),
+    (np.array([True]), ValueError),
+    (np.zeros(2, dtype=bool), ValueError),
+  ],
+)
+def test_what_is_no_mask(mask: Any, error: type[Exception]) -> None:
+  envs = _batch('idle', 2)
+  envs.reset()
+  with pytest.raises(error, match='reset_mask'):
+    envs.reset(options={'reset_mask': mask})
+
+
+_NEXT, _SAME = _Autoreset.NEXT_STEP, _Autoreset.SAME_STEP
+
+
+@pytest.mark.parametrize(
+  ('name', 'mode', 'kwargs'),
+  [
+    ('RecordEpisodeStatistics', _SAME, {}),
+    ('RecordEpisodeStatistics', _NEXT, {}),
+    ('NormalizeObservation', _NEXT, {}),
+    ('FlattenObservation', _NEXT, {}),
+    ('DtypeObservation', _NEXT, {'dtype': np.float64}),
+    ('ReshapeObservation', _NEXT, {'shape': (37, 1)}),
+    ('NormalizeReward', _SAME, {}),
+    ('ClipReward', _SAME, {'min_reward': 0.1, 'max_reward': 0.2}),
+    ('ClipAction', _SAME, {}),
+    ('RescaleAction', _SAME, {'min_action': -1.0, 'max_action': 1.0}),
+    ('DictInfoToList', _SAME, {}),
+    ('NumpyToTorch', _SAME, {}),
+  ],
+)
+def test_gymnasiums_own_wrappers(
+  name: str, mode: Any, kwargs: dict[str, Any]
+) -> None:
+  if name == 'NumpyToTorch':
+    pytest.importorskip('array_api_compat')
+  inner = _batch('idle', 2, time_limit=0.09, autoreset_mode=mode)
+  envs = getattr(wrappers, name)(inner, **kwargs)
+  envs.reset(seed=0)
+  envs.action_space.seed(0)
+  statistics = []
+  for _ in range(8):
+    actions = envs.action_space.sample()
+    if name == 'NumpyToTorch':
+      actions = importlib.import_module('torch').from_numpy(actions)
+    observation, reward, _, _, infos = envs.step(actions)
+    assert np.asarray(observation) in envs.observation_space
+    if name == 'ClipReward':
+      assert np.all((reward >= 0.1) & (reward <= 0.2))
+    if name == 'RecordEpisodeStatistics' and 'episode' in infos:
+      statistics += infos['episode']['l'].tolist()
+  assert set(statistics) <= {3} and statistics or 'Record' not in name
 
 
 def test_batch_with_equal_seeds_is_equal() -> None:
@@ -277,3 +451,9 @@ def test_batch_needs_worlds_and_a_beginning() -> None:
     vector_env.make_vector('idle', 0)
   with pytest.raises(gymnasium.error.ResetNeeded):
     _batch('idle', 1).step(np.zeros((1, 10)))
+  with pytest.raises(gymnasium.error.ResetNeeded):
+    _batch('idle', 1).reset(options={'reset_mask': np.array([True])})
+  with pytest.raises(ValueError, match="'Never'.*'NextStep', 'SameStep'"):
+    _batch('idle', 1, autoreset_mode='Never')
+  with pytest.raises(ValueError, match='render_worlds'):
+    _batch('idle', 1, render_worlds=2)

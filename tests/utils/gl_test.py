@@ -7,7 +7,7 @@ from typing import Iterator
 
 import pytest
 
-from dmc_multimode.viewer import gl
+from dmc_multimode.utils import gl
 
 # GLVND looks for its EGL vendors there: no libegl in effect.
 _NO_EGL = {'__EGL_VENDOR_LIBRARY_DIRS': '/nonexistent', 'MUJOCO_GL': 'egl'}
@@ -66,7 +66,7 @@ def test_nothing_that_draws(
 def test_after_dm_control(monkeypatch: pytest.MonkeyPatch) -> None:
   """It draws all the same, as long as nothing has been drawn."""
   script = (
-    'from dm_control import mujoco; from dmc_multimode.viewer import gl;'
+    'from dm_control import mujoco; from dmc_multimode.utils import gl;'
     'gl.choose_backend();'
     "physics = mujoco.Physics.from_xml_string('<mujoco/>');"
     'print(physics.render(16, 16).shape)'
@@ -78,6 +78,45 @@ def test_after_dm_control(monkeypatch: pytest.MonkeyPatch) -> None:
   monkeypatch.setenv('MUJOCO_GL', 'glfw')
   monkeypatch.setitem(sys.modules, 'dm_control._render', os)
   assert gl.choose_backend(_only('egl')) == 'glfw'
+
+
+_FRAME = """if True:
+  import os, warnings
+  from dmc_multimode.utils import gl
+  {before}
+  from dmc_multimode import suite
+  before = os.environ.get('MUJOCO_GL')
+  env = suite.load('multimode_biped', 'idle')
+  env.reset()
+  print(before, env.physics.render(16, 16).shape, os.environ['MUJOCO_GL'])
+"""
+_HEADLESS = {'DISPLAY': '', 'WAYLAND_DISPLAY': ''}
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize(
+  ('before', 'drawn'),
+  [
+    (
+      'warnings.simplefilter("error"); del os.environ["MUJOCO_GL"]',
+      'None (16, 16, 3) egl',
+    ),
+    ('from dm_control import suite', ' (16, 16, 3) egl'),
+    ('os.environ["DISPLAY"] = ":77"', ' (16, 16, 3) egl'),  # Dead.
+    ('os.environ["MUJOCO_GL"] = "osmesa"', 'osmesa (16, 16, 3) osmesa'),
+    ('gl.BACKENDS = ()', None),
+  ],
+)
+def test_first_frame_of_the_suite(before: str, drawn: str | None) -> None:
+  """Drawn without a display, and without a word from the commands."""
+  environment = {'MUJOCO_GL': '', **_HEADLESS}
+  if 'osmesa' in before and gl.why_not('osmesa'):
+    pytest.skip('No OSMesa.')
+  result = _run(environment, '-c', _FRAME.format(before=before))
+  if drawn:
+    assert result.stdout.strip() == drawn.strip(), result.stderr
+  else:
+    assert result.stderr.splitlines()[-1] == f'OSError: {gl.HELP}'
 
 
 def test_a_probe_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
