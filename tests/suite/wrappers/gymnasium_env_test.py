@@ -1,5 +1,6 @@
 """The suite's tasks in Gymnasium, one at a time and as batches of worlds."""
 
+import functools
 import importlib
 import sys
 from typing import Any
@@ -279,8 +280,10 @@ def test_no_frame_without_a_render_mode() -> None:
 
 
 @pytest.mark.slow
-def test_processes() -> None:
-  envs = _batch('walk_forward', 2, vectorization_mode='async')
+def test_processes_that_have_imported_nothing() -> None:
+  name = gymnasium_env.environment_id('walk_forward')
+  make = functools.partial(gymnasium.make, f'{gymnasium_env.__name__}:{name}')
+  envs = gymnasium.vector.AsyncVectorEnv([make, make], context='spawn')
   try:
     observation, _ = envs.reset(seed=3)
     again, _ = envs.reset(seed=3)
