@@ -148,7 +148,7 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, Any]):
     is_index = isinstance(self.action_space, gymnasium.spaces.Discrete)
     if is_index and action not in self.action_space:
       raise ValueError(
-        f'An action is the index of a mode, below {self.action_space.n}, got '
+        f'An action is the index of a mode, below {len(self.mode_names)}, got '
         f'{action!r}.'
       )
     return np.asarray(action)
