@@ -92,7 +92,7 @@ def choose_backend(probe: Probe = why_not) -> str:
 
 
 def choose_late() -> None:
-  """Has dm_control `choose` at its first frame, if nobody has chosen.
+  """Makes dm_control `choose` at its first frame, if nobody has chosen.
 
   Call it before dm_control is imported: without a display, its search for one
   then does not happen, nor the warning that there is none.

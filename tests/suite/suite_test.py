@@ -49,7 +49,7 @@ def _trajectory(
 
 @pytest.mark.parametrize('task', _TASKS)
 def test_contract(task: str) -> None:
-  """What dm_control's tests of its suite leave open; see `upstream_test`."""
+  """Checks what dm_control's own tests leave open; see `upstream_test`."""
   env, same = _load(task), _load(task)
   spec = env.action_spec()
   assert isinstance(spec, specs.BoundedArray)

@@ -14,7 +14,7 @@ _LARGEST = 4096  # Pixels a side: what every OpenGL can draw, software included.
 
 
 class View:
-  """What a render mode draws: frames of one size from one camera.
+  """Frames of one size from one camera, if a render mode asks for any.
 
   Attributes:
     mode: None, which draws nothing, or 'rgb_array'.
