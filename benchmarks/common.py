@@ -73,12 +73,12 @@ def show(columns: str, row: Mapping[str, Any]) -> None:
 def define_policy() -> flags.FlagHolder[str]:
   """Defines --policy."""
   text = 'Name of a shipped policy, or a folder.'
-  return flags.DEFINE_string('policy', 'pi2', text)
+  return config_flags.define_path('policy', 'pi2', text)
 
 
 def define_out() -> flags.FlagHolder[str | None]:
   """Defines --out."""
-  return flags.DEFINE_string('out', None, 'JSON file to write.')
+  return config_flags.define_path('out', None, 'JSON file to write.')
 
 
 def define_run_flags() -> None:

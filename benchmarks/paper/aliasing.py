@@ -21,6 +21,7 @@ import numpy as np
 from benchmarks import common
 from dmc_multimode import pretrained
 from dmc_multimode.bin import app
+from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.evaluation import evaluator as evaluator_lib
 from dmc_multimode.evaluation import figures
 from dmc_multimode.modes import schedule as schedule_lib
@@ -28,7 +29,7 @@ from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import files
 
-_POLICY = flags.DEFINE_multi_string(
+_POLICY = config_flags.define_paths(
   'policy', ['pi2', 'pi2_one_hot'], 'Shipped policies or folders.'
 )
 _MODES = flags.DEFINE_list(
@@ -37,7 +38,7 @@ _MODES = flags.DEFINE_list(
 _EPISODES = flags.DEFINE_integer('episodes', 16, 'Of each mode.', 1)
 _SEED = flags.DEFINE_integer('seed', 0, 'Of the initial states.', 0)
 _OUT = common.define_out()
-_FIGURES = flags.DEFINE_string('figures', None, 'Folder to draw into.')
+_FIGURES = config_flags.define_path('figures', None, 'Folder to draw into.')
 
 FIGURE_FILE = 'aliasing.png'
 _SETTLED = 1.2  # Seconds after which heights count.

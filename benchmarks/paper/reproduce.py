@@ -22,9 +22,10 @@ from absl import flags
 
 from dmc_multimode import pretrained
 from dmc_multimode.bin import app
+from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.utils import files
 
-_OUT = flags.DEFINE_string(
+_OUT = config_flags.define_path(
   'out', 'out/reproduction', 'Folder for reports, figures and logs.'
 )
 _EPISODES = flags.DEFINE_integer(

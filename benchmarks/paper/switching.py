@@ -21,6 +21,7 @@ import torch
 from benchmarks import common
 from dmc_multimode import pretrained
 from dmc_multimode.bin import app
+from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.evaluation import acceptance
 from dmc_multimode.evaluation import evaluator as evaluator_lib
 from dmc_multimode.evaluation import figures
@@ -33,11 +34,11 @@ from dmc_multimode.suite.imitation import observations
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import files
 
-_POLICY = flags.DEFINE_string('policy', 'pi2', 'The multimodal policy.')
-_BEFORE = flags.DEFINE_string(
+_POLICY = config_flags.define_path('policy', 'pi2', 'The multimodal policy.')
+_BEFORE = config_flags.define_path(
   'before', 'unimodal_walk', 'The unimodal policy that runs first.'
 )
-_AFTER = flags.DEFINE_string(
+_AFTER = config_flags.define_path(
   'after', 'unimodal_launch', 'The unimodal policy that is switched to.'
 )
 _PHASES = flags.DEFINE_integer(
@@ -45,7 +46,7 @@ _PHASES = flags.DEFINE_integer(
 )
 _SEED = flags.DEFINE_integer('seed', 0, 'Of the initial states.', 0)
 _OUT = common.define_out()
-_FIGURES = flags.DEFINE_string('figures', None, 'Folder to draw into.')
+_FIGURES = config_flags.define_path('figures', None, 'Folder to draw into.')
 
 FIGURE_FILE = 'switching.png'
 _CYCLES = 2  # Of the first mode before the earliest switch.

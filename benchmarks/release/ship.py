@@ -21,11 +21,12 @@ from absl import flags
 
 from dmc_multimode import pretrained
 from dmc_multimode.bin import app
+from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.experiments import run_folder
 from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.utils import files as files_lib
 
-_RUN_DIR = flags.DEFINE_string('run_dir', None, 'The run.', required=True)
+_RUN_DIR = config_flags.define_path('run_dir', None, 'The run.', required=True)
 _NAME = flags.DEFINE_string('name', None, 'Of the policy.', required=True)
 _STEPS = flags.DEFINE_integer(
   'steps', None, 'Which of the policies that the run kept; its last if none.'

@@ -36,12 +36,13 @@ import tqdm
 from benchmarks import common
 from benchmarks.reliability import fault_runs
 from dmc_multimode.bin import app
+from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.utils import files
 
 _KILLS = flags.DEFINE_integer('kills', 50, 'Half of them in checkpoints.', 2)
 _CASES = flags.DEFINE_integer('cases', 3, 'Of each other random fault.', 1)
 _ONLY = flags.DEFINE_list('only', None, 'Names of faults; all by default.')
-_FOLDER = flags.DEFINE_string(
+_FOLDER = config_flags.define_path(
   'folder', None, 'Where to work; by default a temporary folder.'
 )
 _OUT = common.define_out()

@@ -35,10 +35,11 @@ import tqdm
 
 import dmc_multimode
 from dmc_multimode.bin import app
+from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.utils import files
 from dmc_multimode.viewer import gl
 
-_POLICY = flags.DEFINE_string(
+_POLICY = config_flags.define_path(
   'policy', 'pi2', 'Name of a shipped policy, or a folder.'
 )
 _STEPS = flags.DEFINE_integer(
@@ -54,7 +55,7 @@ _MINUTES = flags.DEFINE_float('minutes', 10.0, 'Of the Composer task.', 0.0)
 _RECORDINGS = flags.DEFINE_integer('recordings', 200, 'Videos.', 0)
 _MOST_GROWTH = flags.DEFINE_float('most_growth', 8.0, 'MiB in a part.', 0.0)
 _SEED = flags.DEFINE_integer('seed', 0, 'Of everything.', 0)
-_OUT = flags.DEFINE_string('out', None, 'JSON file to write.')
+_OUT = config_flags.define_path('out', None, 'JSON file to write.')
 
 _MIB = 1 << 20
 _LOOKS = 50  # At the memory, in a part.

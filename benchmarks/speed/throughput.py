@@ -30,6 +30,7 @@ from dmc_multimode.agents import loggers
 from dmc_multimode.agents import runner
 from dmc_multimode.agents.ppo import acting
 from dmc_multimode.bin import app
+from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.experiments import config as run_config
 from dmc_multimode.experiments import setup
 from dmc_multimode.modes import library
@@ -37,7 +38,7 @@ from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.utils import files
 
-_POLICY = flags.DEFINE_string(
+_POLICY = config_flags.define_path(
   'policy', None, 'A policy that acts, by name or folder; --modes must be its.'
 )
 _ROUNDS = flags.DEFINE_integer('rounds', 5, 'Medians are over these.', 1)

@@ -14,6 +14,7 @@ from typing import Sequence
 from absl import flags
 
 from dmc_multimode.bin import app
+from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.evaluation import figures
 from dmc_multimode.evaluation import training_figures
 from dmc_multimode.utils import files
@@ -21,7 +22,9 @@ from dmc_multimode.utils import files
 _RUN = flags.DEFINE_multi_string(
   'run', [], 'LABEL=FOLDER of a run, or of its metrics.csv; many times.'
 )
-_OUT = flags.DEFINE_string('out', None, 'Folder to draw into.', required=True)
+_OUT = config_flags.define_path(
+  'out', None, 'Folder to draw into.', required=True
+)
 
 RETURNS_FILE, SAMPLING_FILE = 'returns.png', 'sampling.png'
 
@@ -35,7 +38,7 @@ def _groups(items: Sequence[str]) -> dict[str, list[training_figures.Curves]]:
     label, equals, folder = item.partition('=')
     if not (label and equals and folder):
       raise ValueError(f'--run={item} is not LABEL=FOLDER.')
-    curves = training_figures.read(pathlib.Path(folder))
+    curves = training_figures.read(pathlib.Path(files.expand(folder)))
     groups.setdefault(label, []).append(curves)
   return groups
 

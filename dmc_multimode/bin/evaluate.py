@@ -16,6 +16,7 @@ from absl import flags
 
 from dmc_multimode.agents import distributed
 from dmc_multimode.bin import app
+from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.experiments import launch
 from dmc_multimode.utils import files
 from dmc_multimode.viewer import gl
@@ -23,14 +24,16 @@ from dmc_multimode.viewer import gl
 if TYPE_CHECKING:
   from dmc_multimode import pretrained
 
-_POLICY = flags.DEFINE_string(
+_POLICY = config_flags.define_path(
   'policy', None, 'Name of a shipped policy, or a folder.', required=True
 )
-_OUT = flags.DEFINE_string('out', None, 'JSON file to write the report to.')
-_HTML = flags.DEFINE_string(
+_OUT = config_flags.define_path(
+  'out', None, 'JSON file to write the report to.'
+)
+_HTML = config_flags.define_path(
   'html', None, 'Page to write the report to, with figures and videos in it.'
 )
-_FIGURES = flags.DEFINE_string(
+_FIGURES = config_flags.define_path(
   'figures',
   None,
   'Folder to draw into: heights, contacts, a sequence of modes.',

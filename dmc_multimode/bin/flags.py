@@ -1,4 +1,8 @@
-"""Flags generated from the fields of configuration dataclasses.
+"""Flags of paths, and flags generated from configuration dataclasses.
+
+A path is read as a shell reads it, wherever it comes from: `~` is the home
+folder, in quotes and in flagfiles, too. So every flag that names a file or a
+folder is defined by `define_path`.
 
 A field `discount` of a class defined under the prefix 'ppo' becomes the flag
 `--ppo_discount`; the fields of a configuration in it are flags of their own.
@@ -10,15 +14,19 @@ import dataclasses
 import inspect
 import re
 import typing
-from typing import Any, Iterator
+from typing import Any, Iterator, Sequence
 
 from absl import flags
 import pydantic
 
 from dmc_multimode.utils import config as config_lib
+from dmc_multimode.utils import files
 from dmc_multimode.utils import schedule
 
 FLAGS = flags.FLAGS
+# Flags of paths are of the command that asks for them, as absl's own are. Those
+# of configurations are many, and of this module: `--helpfull` lists them.
+flags.disclaim_key_flags()
 
 # Former names of flags -> their replacement, for the error.
 RENAMED = {
@@ -53,6 +61,51 @@ RENAMED = {
 
 # Former names of flags without a replacement -> the reason, for the error.
 REMOVED = {'ppo_compile': 'torch.compile made trainings no faster'}
+
+
+class _PathParser(flags.ArgumentParser):
+  """Parser of a flag for a file or folder, or for a name in its place."""
+
+  syntactic_help = 'a path'
+
+  def parse(self, argument: str) -> str:
+    """Returns the path; raises ValueError for the home of nobody."""
+    return files.expand(argument)
+
+
+def define_path(
+  name: str, default: str | None, text: str, required: bool = False
+) -> flags.FlagHolder[Any]:
+  """Defines a flag for a file or folder, or for a name in its place."""
+  parser = _PathParser()
+  return flags.DEFINE(parser, name, default, text, FLAGS, required=required)
+
+
+def define_paths(
+  name: str, default: Sequence[str], text: str
+) -> flags.FlagHolder[Any]:
+  """Defines such a flag that may be given many times."""
+  parser, serializer = _PathParser(), flags.ArgumentSerializer[str]()
+  return flags.DEFINE_multi(parser, serializer, name, default, text, FLAGS)
+
+
+def define_sizes() -> flags.FlagHolder[list[str]]:
+  """Defines --sizes, for `read_sizes`."""
+  return flags.DEFINE_list(
+    'sizes', [], 'Of the arena, metres: width:0.3,distance:1.0.', FLAGS
+  )
+
+
+def read_sizes(items: Sequence[str]) -> dict[str, float]:
+  """Returns the sizes of --sizes, metres, by name; raises ValueError."""
+  sizes: dict[str, float] = {}
+  for item in items:
+    name, _, value = item.partition(':')
+    try:
+      sizes[name.strip()] = float(value)
+    except ValueError as error:
+      raise ValueError(f'--sizes: {item!r} is not NAME:METRES.') from error
+  return sizes
 
 
 class _Parser(flags.ArgumentParser):
@@ -98,10 +151,11 @@ def define(config: Any, prefix: str) -> None:
     if _is_nested(default):
       define(default, name)
     elif isinstance(default, bool):
-      flags.DEFINE_bool(name, default, text, flag_values=FLAGS)
+      flags.DEFINE_bool(name, default, text, FLAGS, module_name=__name__)
     else:
+      parser, serializer = _Parser(kinds[field]), _Serializer()
       flags.DEFINE(
-        _Parser(kinds[field]), name, default, text, FLAGS, _Serializer()
+        parser, name, default, text, FLAGS, serializer, module_name=__name__
       )
 
 

@@ -17,8 +17,9 @@ from absl import flags
 
 from dmc_multimode import viewer
 from dmc_multimode.bin import app
+from dmc_multimode.bin import flags as config_flags
 
-_POLICY = flags.DEFINE_string(
+_POLICY = config_flags.define_path(
   'policy', None, 'Name of a shipped policy, or folder of a policy or a run.'
 )
 _SCHEDULE = flags.DEFINE_string(
@@ -27,10 +28,10 @@ _SCHEDULE = flags.DEFINE_string(
 _ARENA = flags.DEFINE_string(
   'arena', 'flat', 'flat, gap, plateau, block, gap_block or parkour.'
 )
-_PLAN = flags.DEFINE_string(
+_PLAN = config_flags.define_path(
   'plan', None, 'A file that `plan` wrote; says schedule, arena, seed, pushes.'
 )
-_OUT = flags.DEFINE_string(
+_OUT = config_flags.define_path(
   'out', None, 'The video to write, an .mp4 or a .gif file.'
 )
 _CAMERA = flags.DEFINE_string(

@@ -16,8 +16,9 @@ from absl import flags
 from dmc_multimode import viewer
 from dmc_multimode.arenas import layouts
 from dmc_multimode.bin import app
+from dmc_multimode.bin import flags as config_flags
 
-_POLICY = flags.DEFINE_string(
+_POLICY = config_flags.define_path(
   'policy', 'pi2', 'Name of a shipped policy, or folder of a policy or a run.'
 )
 _ARENA = flags.DEFINE_string('arena', 'flat', f'{", ".join(layouts.NAMES)}.')

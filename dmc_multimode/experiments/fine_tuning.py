@@ -22,6 +22,7 @@ from dmc_multimode.modes.encoder import extension
 from dmc_multimode.modes.encoder import mode_encoder
 from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.suite.imitation import observations
+from dmc_multimode.utils import files
 from dmc_multimode.utils import resources
 from dmc_multimode.utils import schedule
 
@@ -88,6 +89,7 @@ class Start:
     )
     return run_config.RunConfig(
       modes=','.join(motion.name for motion in motions),
+      steps=steps,
       init_from=self.name,
       init_modes=','.join(policy.mode_set.names),
       ppo=ppo,
@@ -188,7 +190,9 @@ def load(name: str, encoder: str | None = None) -> Start:
       f'{name} knows its modes by one-hot commands, which leave no room for '
       'another: begin with a policy that has latents.'
     )
-  folder = pathlib.Path(encoder) if encoder else find_encoder(name)
+  folder = (
+    pathlib.Path(files.expand(encoder)) if encoder else find_encoder(name)
+  )
   return Start(name, policy, mode_encoder.load(folder))
 
 
@@ -198,7 +202,7 @@ def find_encoder(name: str) -> pathlib.Path:
   Raises:
     ValueError: there is none beside the policy, nor in its run.
   """
-  path = pathlib.Path(name)
+  path = pathlib.Path(files.expand(name))
   folders = [
     path,  # A policy that ships with its encoder.
     path / run_folder.ENCODER,  # A run.

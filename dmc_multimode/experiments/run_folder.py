@@ -40,7 +40,7 @@ class RunFolder:
 
   def __init__(self, path: str | os.PathLike[str]):
     """Refers to a folder; creates nothing."""
-    self.path = pathlib.Path(path)
+    self.path = pathlib.Path(files.expand(path))
     self.checkpointer = checkpointing.Checkpointer(self.path)
     self.config = self.path / CONFIG_FILE
     self.encoder = self.path / ENCODER

@@ -144,9 +144,9 @@ def load(
     ModeFileError: the file cannot be read or is not a valid mode file; the
       message begins with `FILE:LINE:` if the error has a line.
   """
-  name = os.fspath(path)
+  name = files.expand(path)
   try:
-    content = files.read_bounded(path, MAX_BYTES)
+    content = files.read_bounded(name, MAX_BYTES)
   except (OSError, ValueError) as error:  # Too large, or a NUL in the name.
     reason = getattr(error, 'strerror', None) or str(error)
     raise ModeFileError(f'{name}: cannot be read ({reason}).') from None

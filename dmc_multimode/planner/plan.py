@@ -148,7 +148,7 @@ class PlanFile:
 
   def write(self, path: str | os.PathLike[str]) -> None:
     """Writes the file atomically; missing folders are made."""
-    path = pathlib.Path(path)
+    path = pathlib.Path(files.expand(path))
     path.parent.mkdir(parents=True, exist_ok=True)
     files.write_json(path, self.to_dict())
 
@@ -160,7 +160,7 @@ class PlanFile:
       FileNotFoundError: the file does not exist.
       ValueError: the file does not hold a plan with its course.
     """
-    path = pathlib.Path(path)
+    path = pathlib.Path(files.expand(path))
     if not path.is_file():
       raise FileNotFoundError(f'There is no plan {path}.')
     values = files.read_json(path, _MAX_BYTES)

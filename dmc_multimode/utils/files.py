@@ -4,11 +4,27 @@ import glob
 import json
 import os
 import pathlib
+import tempfile
 from typing import Any
 
 Path = str | os.PathLike[str]
 
 MAX_BYTES = 64 << 20  # Apart from checkpoints.
+
+
+def expand(path: Path) -> str:
+  """Returns a path with the home folder in place of a leading `~` or `~USER`.
+
+  Raises:
+    ValueError: nobody of that name has a home folder.
+  """
+  text = os.path.expanduser(os.fspath(path))
+  if text.startswith('~'):
+    raise ValueError(
+      f'{text}: {text.split(os.sep)[0]} is no home folder; a file of such a '
+      f'name is ./{text}.'
+    )
+  return text
 
 
 def check_size(path: Path, limit: int = MAX_BYTES) -> None:
@@ -88,7 +104,7 @@ def output_file(flag: str, value: Path | None) -> pathlib.Path | None:
   """
   if not value:
     return None
-  path = pathlib.Path(value)
+  path = pathlib.Path(expand(value))
   if path.is_dir():
     raise IsADirectoryError(f'--{flag}={value} is a folder; name a file.')
   _check_writable(path.absolute().parent, f'--{flag}={value}')
@@ -103,7 +119,7 @@ def output_folder(flag: str, value: Path | None) -> pathlib.Path | None:
   """
   if not value:
     return None
-  path = pathlib.Path(value)
+  path = pathlib.Path(expand(value))
   if path.exists() and not path.is_dir():
     raise NotADirectoryError(f'--{flag}={value} is a file; name a folder.')
   _check_writable(path.absolute(), f'--{flag}={value}')
@@ -112,8 +128,11 @@ def output_folder(flag: str, value: Path | None) -> pathlib.Path | None:
 
 def _check_writable(path: pathlib.Path, flag: str) -> None:
   parent = next(p for p in (path, *path.parents) if p.exists())
-  if not (parent.is_dir() and os.access(parent, os.W_OK)):
-    raise NotADirectoryError(f'{flag}: cannot write into {parent}.')
+  try:  # Permissions alone do not tell: root may not write into /proc either.
+    with tempfile.TemporaryFile(dir=parent):
+      pass
+  except OSError as error:
+    raise type(error)(f'{flag}: cannot write into {parent}.') from error
 
 
 def _refuse(constant: str) -> None:

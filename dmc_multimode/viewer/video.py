@@ -5,10 +5,11 @@ import fractions
 import math
 import os
 import pathlib
-import tempfile
 from typing import Any, Callable, Iterator, Sequence
 
 import numpy as np
+
+from dmc_multimode.utils import files
 
 SUFFIX, GIF_SUFFIX = '.mp4', '.gif'
 MAX_SIDE = 4096  # Pixels; the limit of most players.
@@ -28,23 +29,15 @@ def check_path(path: str | os.PathLike[str] | None) -> pathlib.Path:
   """Returns the path of a video after checking that it can be written.
 
   Raises:
-    ValueError: no path, a folder, or another suffix than .mp4 and .gif.
-    OSError: nothing can be written there.
+    ValueError: no path, or another suffix than .mp4 and .gif.
+    OSError: a folder, or nothing can be written there.
   """
-  if not path:
+  out = files.output_file('out', path)
+  if out is None:
     raise ValueError(f'Say where to write to: --out=FILE{SUFFIX}.')
-  out = pathlib.Path(path).expanduser()
   if out.suffix.lower() not in (SUFFIX, GIF_SUFFIX):
     raise ValueError(f'{out} must end in {SUFFIX} or {GIF_SUFFIX}.')
-  if out.is_dir():
-    raise ValueError(f'{out} is a folder; name a file.')
-  folder = out.absolute().parent
-  while not folder.exists():  # The folder is made with the first frame.
-    folder = folder.parent
-  if not folder.is_dir():
-    raise NotADirectoryError(f'Not a directory: {folder}')
-  with tempfile.TemporaryFile(dir=folder):
-    return out
+  return out
 
 
 def check_size(width: int, height: int) -> None:

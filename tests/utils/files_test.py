@@ -79,3 +79,15 @@ def test_outputs(tmp_path: pathlib.Path) -> None:
     files.output_folder('out', file)
   with pytest.raises(NotADirectoryError, match='cannot write into'):
     files.output_file('out', file / 'below')
+  with pytest.raises(OSError, match='--out=/proc/new: cannot write into /proc'):
+    files.output_folder('out', '/proc/new')  # Where root may not write either.
+
+
+def test_home(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
+  monkeypatch.setenv('HOME', str(tmp_path))
+  assert files.expand('~/a/~b') == f'{tmp_path}/a/~b'
+  assert files.output_file('out', pathlib.Path('~/x')) == tmp_path / 'x'
+  for path in ('a/~', './~b', '/~', 'pi2'):
+    assert files.expand(path) == path
+  with pytest.raises(ValueError, match='~nobody_here is no home folder'):
+    files.expand('~nobody_here/x')

@@ -125,7 +125,7 @@ class ModeEncoder:
     Raises:
       OSError: the directory cannot be made or written.
     """
-    directory = pathlib.Path(directory)
+    directory = pathlib.Path(files.expand(directory))
     directory.mkdir(parents=True, exist_ok=True)
     weights = safetensors.torch.save(self.network.state_dict())
     description = {
@@ -152,7 +152,7 @@ def load(directory: str | os.PathLike[str]) -> ModeEncoder:
     ValueError: a file is missing, truncated or foreign, or the two do not
       belong together; one line with the file and the remedy.
   """
-  path = pathlib.Path(directory) / CONFIG_FILE
+  path = pathlib.Path(files.expand(directory)) / CONFIG_FILE
   try:
     description = json.loads(_read(path))
     if description['format'] != _FORMAT:
