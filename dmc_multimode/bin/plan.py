@@ -1,22 +1,27 @@
 r"""Plans mode commands across a track.
 
-  python -m dmc_multimode.bin.plan --flagfile=flags/plan_gap.flags \
+  python -m dmc_multimode.bin.plan --arena=gap \
     --policy=pi2 --out=plan.json --figure=plan.png
 
+Each track has its own goal and knots: those of the paper's Table III, and of
+another track those that cross it. --goal, --knots and --dt are in their place.
 A plan is open-loop, and pushes are unknown to the planner. With --replan_every
 it plans again on the way, from the robot's current state, and writes the modes
 that were commanded:
 
-  python -m dmc_multimode.bin.plan --flagfile=flags/plan_gap_block.flags \
+  python -m dmc_multimode.bin.plan --arena=gap_block \
     --policy=pi2 --push=0.6:-0.5 --replan_every=2 --out=plan.json
 """
 
-from typing import Sequence
+import dataclasses
+from typing import Any, Sequence
 
 from absl import flags
+import numpy as np
 
 from dmc_multimode import planner
 from dmc_multimode.arenas import layouts
+from dmc_multimode.arenas import track
 from dmc_multimode.bin import app
 from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.evaluation import figures
@@ -26,20 +31,18 @@ from dmc_multimode.planner import solver
 from dmc_multimode.suite.reaching import problem as reaching
 from dmc_multimode.utils import files
 
-_POLICY = flags.DEFINE_string(
+_POLICY = config_flags.define_path(
   'policy', 'pi2', 'Name of a shipped policy, or a folder.'
 )
 _ARENA = flags.DEFINE_string(
   'arena', 'gap_block', f'{", ".join(layouts.NAMES)}.'
 )
-_SIZES = flags.DEFINE_list(
-  'sizes', [], 'Of the arena, metres: width:0.3,distance:1.0.'
-)
+_SIZES = config_flags.define_sizes()
 _GOAL = flags.DEFINE_list(
-  'goal', ['2.0', '0.0', '0.9'], 'Of the trunk, metres: x,y,z.'
+  'goal', None, "Of the trunk, metres: x,y,z; the track's own by default."
 )
-_KNOTS = flags.DEFINE_integer('knots', 30, 'Of the plan.')
-_DT = flags.DEFINE_float('dt', 0.15, 'Seconds from knot to knot.')
+_KNOTS = flags.DEFINE_integer('knots', None, 'Of the plan; likewise.')
+_DT = flags.DEFINE_float('dt', None, 'Seconds from knot to knot; likewise.')
 _SEED = flags.DEFINE_integer('seed', 0, 'Of a random track, and the planner.')
 _PLANNER = flags.DEFINE_enum(
   'planner', 'beam', list(solver.PLANNERS), 'Which planner.'
@@ -53,36 +56,36 @@ _PUSH = flags.DEFINE_list(
 _THREADS = flags.DEFINE_integer(
   'threads', 0, 'Of the physics; 0 for every core.', lower_bound=0
 )
-_OUT = flags.DEFINE_string('out', None, 'JSON file to write the plan to.')
-_FIGURE = flags.DEFINE_string('figure', None, 'PNG file to draw the plan to.')
+_OUT = config_flags.define_path('out', None, 'JSON file to write the plan to.')
+_FIGURE = config_flags.define_path(
+  'figure', None, 'PNG file to draw the plan to.'
+)
 
 for _name, _config in solver.PLANNERS.items():
   config_flags.define(_config, _name)
 
 
-def _read_problem() -> reaching.ReachingConfig:
-  """Returns the reaching problem of the flags."""
-  try:
-    x, y, z = (float(value) for value in _GOAL.value)
-  except ValueError as error:
-    raise ValueError(
-      f'--goal={",".join(_GOAL.value)} is not X,Y,Z in metres.'
-    ) from error
-  return reaching.ReachingConfig(
-    (x, y, z), _KNOTS.value, _DT.value, _SEED.value
+def _read_problem(sizes: dict[str, float]) -> reaching.ReachingConfig:
+  """Returns the track's own problem, with what the flags change in it."""
+  terrain = track.make(_ARENA.value, sizes=sizes).generate(
+    np.random.RandomState(_SEED.value)
   )
-
-
-def _read_sizes() -> dict[str, float]:
-  """Returns the sizes of --sizes by name."""
-  sizes: dict[str, float] = {}
-  for item in _SIZES.value:
-    name, _, value = item.partition(':')
+  changes: dict[str, Any] = {
+    'knots': _KNOTS.value,
+    'knot_duration': _DT.value,
+  }
+  if _GOAL.value is not None:
     try:
-      sizes[name.strip()] = float(value)
+      x, y, z = (float(value) for value in _GOAL.value)
     except ValueError as error:
-      raise ValueError(f'--sizes: {item!r} is not NAME:METRES.') from error
-  return sizes
+      raise ValueError(
+        f'--goal={",".join(_GOAL.value)} is not X,Y,Z in metres.'
+      ) from error
+    changes['goal'] = x, y, z
+  return dataclasses.replace(
+    reaching.problem(_ARENA.value, terrain, _SEED.value),
+    **{name: value for name, value in changes.items() if value is not None},
+  )
 
 
 def _print(found: planner.PlanResult) -> None:
@@ -101,12 +104,13 @@ def main(argv: Sequence[str]) -> int:
   del argv
   out = files.output_file('out', _OUT.value)
   figure = files.output_file('figure', _FIGURE.value)
+  sizes = config_flags.read_sizes(_SIZES.value)
   found = planner.solve(
     _POLICY.value,
     _ARENA.value,
     _SEED.value,
-    _read_problem(),
-    _read_sizes(),
+    _read_problem(sizes),
+    sizes,
     config_flags.read(solver.PLANNERS[_PLANNER.value], _PLANNER.value),
     [pushes_lib.parse(item) for item in _PUSH.value],
     _REPLAN_EVERY.value,

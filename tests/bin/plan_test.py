@@ -108,6 +108,27 @@ def test_q_learning_and_sizes(
   assert values['rollouts'] == 6
 
 
+def test_a_track_has_its_own_problem(
+  plan: processes.Binary, tmp_path: pathlib.Path
+) -> None:
+  """But for the flags that are given; paths are read as a shell reads them."""
+  home = tmp_path / 'home'
+  home.mkdir()
+  plan.start(
+    '--policy=quickstart',
+    '--arena=gap',
+    '--knots=2',
+    '--beam_beams=1',
+    '--beam_attempts=1',
+    '--out=~/plan.json',
+    before=f'import os; os.environ["HOME"] = {str(home)!r}',
+  )
+  assert plan.wait().code == 3
+  values = json.loads((home / 'plan.json').read_text())
+  assert (values['goal'], values['dt']) == ([2.0, 0.0, 0.5], 0.3)
+  assert values['knots'] == 2
+
+
 @pytest.mark.parametrize(
   ('flags', 'message'),
   [
@@ -115,6 +136,7 @@ def test_q_learning_and_sizes(
     (['--goal=1,2'], 'not X,Y,Z'),
     (['--push=0.3:1,0.6:x'], "'0.6:x' is no push"),
     (['--push=0.5:1'], 'at 0.5 s is not at a knot'),
+    (['--goal=-1,0,0.5'], 'is behind the start'),
     (['--out={tmp}'], 'is a folder'),
   ],
 )

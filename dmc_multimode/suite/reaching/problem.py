@@ -20,9 +20,11 @@ from dmc_multimode.suite.imitation import config as config_lib
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import constants
+from dmc_multimode.walkers import kinematics
 
 _NEAR_X, _NEAR_Z = 0.3, 0.12  # Metres: bounds of reached.
 _UPRIGHT = 0.7  # Cosine of the trunk's tilt.
+_EXACT = 1e-6  # Metres: rounding of sums.
 
 RANDOM_TRACK = 'parkour'
 _BEYOND = 0.4  # Metres behind the last edge of a random track: the goal.
@@ -118,7 +120,11 @@ def problem(
     seed: of the draw of the terrain.
   """
   if track in PROBLEMS:
-    return PROBLEMS[track].config(seed)
+    x, y, _ = PROBLEMS[track].goal
+    top = float(terrain_lib.support_height(terrain, np.array([x]))[0])
+    return dataclasses.replace(
+      PROBLEMS[track].config(seed), goal=(x, y, top + constants.STAND_HEIGHT)
+    )
   last = np.flatnonzero(np.isfinite(terrain.starts[0]))[-1]
   if not last:  # Level ground has no edge to cross.
     return ReachingConfig(seed=seed)
@@ -188,12 +194,24 @@ def knot_steps(reaching: ReachingConfig, control_timestep: float) -> int:
 
 
 def check_goal(goal: tuple[float, ...], terrain: terrain_lib.Terrain) -> None:
-  """Raises ValueError where a trunk cannot be at the goal.
+  """Raises ValueError where no robot that went there could stand.
+
+  Tracks are crossed along +x: a goal lies ahead of the start, x = 0, over the
+  ground, and as high as the legs hold a trunk.
 
   Args:
     goal: x, y and z, world metres.
     terrain: a batch of one.
   """
+  if goal[0] < 0:
+    raise ValueError(
+      f'The goal, x = {goal[0]:g} m, is behind the start, x = 0.'
+    )
+  if abs(goal[1]) > terrain_lib.HALF_WIDTH:
+    raise ValueError(
+      f'The goal, y = {goal[1]:g} m, is not over the track, which reaches '
+      f'{terrain_lib.HALF_WIDTH:g} m to either side.'
+    )
   used = np.isfinite(terrain.starts)
   first, last = terrain.starts[used].min(), terrain.ends[used].max()
   on_top = used & (terrain.starts <= goal[0]) & (goal[0] <= terrain.ends)
@@ -203,10 +221,11 @@ def check_goal(goal: tuple[float, ...], terrain: terrain_lib.Terrain) -> None:
       f'{first:g} to {last:g} m and has gaps.'
     )
   top = float(terrain.tops[on_top].max())
-  if not 0 < goal[2] - top < 1:
+  lowest, highest = top + kinematics.LOWEST, top + kinematics.HIGHEST
+  if not lowest - _EXACT <= goal[2] <= highest + _EXACT:
     raise ValueError(
-      f'The goal, z = {goal[2]:g} m, is not where a trunk can be over the '
-      f'ground at {top:g} m.'
+      f'The goal, z = {goal[2]:g} m, is not where a trunk stands over the '
+      f'ground at {top:g} m: that is {lowest:g} to {highest:g} m high.'
     )
 
 

@@ -72,21 +72,24 @@ def test_knot_steps(duration: float, expected: int | None) -> None:
 
 
 @pytest.mark.parametrize(
-  ('x', 'z', 'message'),
+  ('goal', 'message'),
   [
-    (0.5, 0.5, ''),  # The very edge counts.
-    (1.2, 1.2, ''),  # Of two tops at one place the higher one does.
-    (1.2, 0.25, 'ground at 0.3 m'),
-    (0.7, 0.5, r'x = 0.7 m, is not over the track, which runs from -1 to 9 m'),
-    (-1.1, 0.5, 'not over the track'),
-    (9.1, 0.5, 'not over the track'),
-    (0.0, 1.1, 'z = 1.1 m, is not where'),
+    ((0.5, 0.0, 0.5), ''),  # The very edge counts.
+    ((1.2, 4.0, 0.9), ''),  # Of two tops at one place the higher one does.
+    ((1.2, 0.0, 0.25), 'stands over the ground at 0.3 m'),
+    ((0.7, 0.0, 0.5), 'x = 0.7 m, is not over the .* runs from -1 to 9 m'),
+    ((-0.1, 0.0, 0.5), 'x = -0.1 m, is behind the start'),
+    ((9.1, 0.0, 0.5), 'not over the track'),
+    ((0.0, -4.1, 0.5), 'y = -4.1 m, is not over the track'),
+    ((0.0, 0.0, 0.9), 'z = 0.9 m, is not where .* that is 0.37 to 0.67 m'),
+    ((0.0, 0.0, 0.68), 'z = 0.68 m, is not where'),
+    ((0.0, 0.0, 0.36), 'z = 0.36 m, is not where'),
   ],
 )
-def test_check_goal(x: float, z: float, message: str) -> None:
+def test_check_goal(goal: tuple[float, ...], message: str) -> None:
   refused = pytest.raises(ValueError, match=message or None)
   with refused if message else contextlib.nullcontext():
-    reaching.check_goal((x, 0.0, z), _STEPPED)
+    reaching.check_goal(goal, _STEPPED)
 
 
 def test_ground_ahead() -> None:
@@ -115,6 +118,12 @@ def test_problems_are_on_their_tracks(name: str) -> None:
     reaching.check_goal(config.goal, terrain)
     assert config.seed == seed
     assert reaching.knot_steps(config, 0.03) in (5, 10)
+
+
+def test_goals_are_on_the_ground_of_their_track() -> None:
+  arena = track.make('gap_block', sizes={'height': 0.2})
+  terrain = arena.generate(np.random.RandomState(0))
+  assert reaching.problem('gap_block', terrain).goal == (2.0, 0.0, 0.7)
 
 
 def test_random_problem() -> None:
