@@ -84,8 +84,7 @@ retrain: setup
 	for name in $(EXPERIMENTS); do \
 	  if [ -e runs/$$name/config.json ]; then what=--resume; else \
 	  what="--flagfile=flags/$$name.flags"; fi; \
-	  steps=$$(sed -n 's/^--steps=/--steps=/p' flags/$$name.flags); \
-	  $(BIN)/python -m dmc_multimode.bin.train $$what $$steps \
+	  $(BIN)/python -m dmc_multimode.bin.train $$what \
 	    --keep_every=3000000 --run_dir=runs/$$name $(TRAIN_ARGS); \
 	done
 

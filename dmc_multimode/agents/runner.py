@@ -18,6 +18,7 @@ from dmc_multimode.agents.ppo import learning
 from dmc_multimode.agents.ppo import networks
 from dmc_multimode.agents.ppo import rollouts
 from dmc_multimode.utils import config as config_lib
+from dmc_multimode.utils import constants
 
 # Infinite, too.
 _Minutes = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=True)]
@@ -36,7 +37,7 @@ class TrainingConfig:
       keeps only the last.
   """
 
-  steps: config_lib.PositiveInt = 12_000_000
+  steps: config_lib.PositiveInt = constants.TRAINING_STEPS
   minutes: _Minutes = math.inf
   log_every: config_lib.PositiveInt = 5
   checkpoint_seconds: config_lib.Positive = 60.0

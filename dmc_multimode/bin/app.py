@@ -38,6 +38,7 @@ from dmc_multimode.utils import config
 from dmc_multimode.utils import resources
 
 Main = Callable[[Sequence[str]], int | None]
+Step = Callable[[], None]
 
 EXIT_ERROR = 2
 EXIT_UNSOLVED = 3
@@ -55,7 +56,12 @@ EXPECTED_ERRORS = (
 _FLAGFILE = re.compile(r'--?flagfile(=(?P<value>.*))?', re.DOTALL)
 
 
-def run(main: Main, argv: Sequence[str] | None = None) -> NoReturn:
+def run(
+  main: Main,
+  argv: Sequence[str] | None = None,
+  check: Step | None = None,
+  define: Step = lambda: None,
+) -> NoReturn:
   """Parses the flags, calls `main` and exits; see the module's docstring.
 
   `--flagfile=flags/NAME.flags` is the packaged flagfile if there is no such
@@ -65,11 +71,24 @@ def run(main: Main, argv: Sequence[str] | None = None) -> NoReturn:
     main: Receives the program's name only: positional arguments are an error.
       Returns the exit code, None for 0.
     argv: Command line, program name first; `sys.argv` if None.
+    check: Raises what is wrong with the flags that are defined so far, before
+      slow imports.
+    define: Defines the others, whose defaults take these imports.
   """
   try:
     args = find_flagfiles(sys.argv if argv is None else argv)
   except FileNotFoundError as error:
     sys.exit(_report(error))
+  if check and not any(
+    arg.startswith(('--help', '-help', '-?')) for arg in args
+  ):
+    _parse_flags(args, known_only=True)
+    try:
+      check()
+    except EXPECTED_ERRORS as error:
+      sys.exit(_report(error))
+    flags.FLAGS.unparse_flags()
+  define()
   _lend_help(sys.modules[main.__module__])
   absl_app.run(
     functools.partial(_guard, main), argv=args, flags_parser=_parse_flags
@@ -87,11 +106,13 @@ def _lend_help(module: types.ModuleType) -> None:
     flags.FLAGS.register_key_flag_for_module(sys.argv[0], flag)
 
 
-def _parse_flags(args: Sequence[str]) -> list[str]:
+def _parse_flags(args: Sequence[str], known_only: bool = False) -> list[str]:
   """Parses the flags; errors are one line with exit code 2."""
   try:
-    rest: list[str] = flags.FLAGS(args)
+    rest: list[str] = flags.FLAGS(args, known_only)
     return rest
+  except SystemExit:
+    sys.exit(0)  # After `--help`, which absl ends with 1.
   except flags.UnrecognizedFlagError as error:
     sys.exit(_report(_old_flag_error(error)))
   except flags.Error as error:

@@ -7,7 +7,8 @@ Every field of the configurations is a flag, which --helpfull explains: --ppo_*,
 --sampling_*, --task_*. A value that changes along the training is a schedule
 `FIRST[:LAST][@START[:END]]` over environment steps, such as 0:0.5@8e6.
 Ctrl-C stops after the current iteration, with a checkpoint; --resume continues
-from the last checkpoint, bit for bit.
+from the last checkpoint, bit for bit, to the length that the run was given, or
+is now by --steps.
 
     python -m dmc_multimode.bin.train --init_from=pi2 \
       --mode_file=docs/squat.yaml --steps=4000000 --run_dir=runs/squat
@@ -19,34 +20,36 @@ with a share of the worlds: see docs/SCALING.md.
 """
 
 import functools
-from typing import Any, Sequence
+import math
+from typing import Any, Sequence, TYPE_CHECKING
 
 from absl import flags
-import torch
 
-from dmc_multimode.agents import distributed
-from dmc_multimode.agents import runner
 from dmc_multimode.bin import app
 from dmc_multimode.bin import flags as config_flags
-from dmc_multimode.experiments import config as run_config
-from dmc_multimode.experiments import launch
-from dmc_multimode.experiments import training
+from dmc_multimode.modes import files as mode_files
+from dmc_multimode.modes import library
+from dmc_multimode.pretrained import folder
 
-_DEFAULTS = run_config.RunConfig()
-_RUN_DIR = flags.DEFINE_string(
+if TYPE_CHECKING:
+  import torch
+
+  from dmc_multimode.agents import distributed
+
+_RUN_DIR = config_flags.define_path(
   'run_dir', None, 'Where the run lives.', required=True
 )
 _RESUME = flags.DEFINE_bool('resume', False, 'Go on with the run in --run_dir.')
-_INIT_FROM = flags.DEFINE_string(
+_INIT_FROM = config_flags.define_path(
   'init_from',
-  _DEFAULTS.init_from,
+  None,
   'A policy to begin with, shipped or a folder; its task and network become '
   'defaults.',
 )
-_MODE_FILE = flags.DEFINE_string(
+_MODE_FILE = config_flags.define_path(
   'mode_file', None, 'YAML or JSON file of further modes.'
 )
-_ENCODER = flags.DEFINE_string(
+_ENCODER = config_flags.define_path(
   'encoder',
   None,
   'Folder of a trained encoder; trained first if not given. With --init_from '
@@ -54,70 +57,89 @@ _ENCODER = flags.DEFINE_string(
 )
 _MODES = flags.DEFINE_string(
   'modes',
-  _DEFAULTS.modes,
-  'Name of a mode set, or comma-separated modes. With --init_from by default '
-  'those of the policy and of --mode_file.',
-)
-_SEED = flags.DEFINE_integer('seed', _DEFAULTS.seed, 'Of all randomness.')
-_NUM_WORLDS = flags.DEFINE_integer(
-  'num_worlds',
-  _DEFAULTS.num_worlds,
-  'Worlds that are stepped together, by all processes.',
-)
-_THREADS = flags.DEFINE_integer(
-  'threads',
-  distributed.local_cores(),
-  'Threads of the physics and of torch, in each process.',
+  None,
+  'Name of a mode set, or comma-separated modes; quickstart by default. With '
+  '--init_from by default those of the policy and of --mode_file.',
 )
 _DEVICE = flags.DEFINE_enum(
   'device', 'cpu', ['cpu', 'cuda'], 'Where networks are, and learn.'
 )
-_ONE_HOT = flags.DEFINE_bool(
-  'one_hot', _DEFAULTS.one_hot, 'One-hot commands instead of latents.'
-)
 _WANDB_PROJECT = flags.DEFINE_string(
   'wandb_project', None, 'Also log to this project of Weights and Biases.'
 )
-_LENGTH = runner.TrainingConfig()
-_STEPS = flags.DEFINE_integer(
-  'steps', _LENGTH.steps, 'Environment steps in all.'
-)
 _MINUTES = flags.DEFINE_float(
-  'minutes', _LENGTH.minutes, 'Stop after this time, with a checkpoint.'
+  'minutes', math.inf, 'Stop after this time, with a checkpoint.'
 )
 _KEEP_EVERY = flags.DEFINE_integer(
   'keep_every',
-  _LENGTH.keep_every,
+  0,
   'Environment steps between policies kept in RUN_DIR/policies; 0: none.',
 )
 # Fields of `RunConfig` that are one flag, and nested configurations, whose
 # fields are flags.
 _SIMPLE = ('seed', 'num_worlds', 'threads', 'one_hot')
 _PARTS = ('ppo', 'sampling', 'task')
-for _part in _PARTS:
-  config_flags.define(getattr(_DEFAULTS, _part), _part)
+
+
+def _check_modes() -> None:
+  """Raises ValueError for unknown modes."""
+  known = mode_files.load(_MODE_FILE.value) if _MODE_FILE.value else ()
+  if _INIT_FROM.value:
+    known += folder.mode_set(_INIT_FROM.value).motions
+  if _MODES.value and not _RESUME.value:
+    library.resolve(_MODES.value, known)
+
+
+def _define_settings() -> None:
+  """Defines the flags of the fields of `RunConfig`."""
+  from dmc_multimode.experiments import config as run_config
+
+  defaults = run_config.RunConfig()
+  flags.DEFINE_integer(
+    'steps',
+    defaults.steps,
+    'Environment steps in all; with --resume by default those of the run.',
+  )
+  flags.DEFINE_integer('seed', defaults.seed, 'Of all randomness.')
+  flags.DEFINE_integer(
+    'num_worlds',
+    defaults.num_worlds,
+    'Worlds that are stepped together, by all processes.',
+  )
+  flags.DEFINE_integer(
+    'threads',
+    None,
+    'Threads of the physics and of torch, in each process; by default one for '
+    'each core.',
+  )
+  flags.DEFINE_bool(
+    'one_hot', defaults.one_hot, 'One-hot commands instead of latents.'
+  )
+  for part in _PARTS:
+    config_flags.define(getattr(defaults, part), part)
 
 
 def _given() -> dict[str, Any]:
   """Returns the values of the given flags of `RunConfig`."""
+  from dmc_multimode.experiments import config as run_config
+
   values = {
     name: flags.FLAGS[name].value
-    for name in ('modes', *_SIMPLE)
+    for name in ('modes', 'steps', *_SIMPLE)
     if flags.FLAGS[name].present
   }
   for part in _PARTS:
-    values |= config_flags.given(getattr(_DEFAULTS, part), part)
+    values |= config_flags.given(getattr(run_config.RunConfig(), part), part)
   return values
 
 
 def _train(
-  device: torch.device, communicator: distributed.Communicator
+  device: 'torch.device', communicator: 'distributed.Communicator'
 ) -> None:
-  if not _RUN_DIR.value:
-    raise ValueError('--run_dir must name a folder.')
+  from dmc_multimode.experiments import training
+
   training.train(
     _RUN_DIR.value,
-    steps=_STEPS.value,
     resume=_RESUME.value,
     init_from=_INIT_FROM.value or None,
     mode_file=_MODE_FILE.value or None,
@@ -134,13 +156,19 @@ def _train(
 def main(argv: Sequence[str]) -> int:
   """Trains or resumes, with the other ranks if there are any."""
   del argv
+  if not _RUN_DIR.value:
+    raise ValueError('--run_dir must name a folder.')
+  # Late, as they import torch.
+  from dmc_multimode.agents import distributed
+  from dmc_multimode.experiments import launch
+
   device = distributed.find_device(_DEVICE.value)
   return launch.run(functools.partial(_train, device), device)
 
 
 def cli() -> None:
   """Console script."""
-  app.run(main)
+  app.run(main, check=_check_modes, define=_define_settings)
 
 
 if __name__ == '__main__':

@@ -5,24 +5,24 @@ r"""Trains the mode encoder of a mode set and draws its encoding.
 Writes encoder.safetensors, encoder.json and encoding.png into DIR.
 """
 
-import os
-import pathlib
-import tempfile
-from typing import Sequence
+from typing import Sequence, TYPE_CHECKING
 
 from absl import flags
-import matplotlib.figure
 import numpy as np
 import tqdm
 
 from dmc_multimode.bin import app
-from dmc_multimode.evaluation import figures
+from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
 from dmc_multimode.modes import motion as motion_lib
-from dmc_multimode.modes.encoder import mode_encoder
-from dmc_multimode.modes.encoder import network
-from dmc_multimode.modes.encoder import training as encoder_training
+from dmc_multimode.utils import files
+
+if TYPE_CHECKING:
+  import matplotlib.figure
+
+  from dmc_multimode.modes.encoder import mode_encoder
+  from dmc_multimode.modes.encoder import training as encoder_training
 
 _FIGURE_FILE = 'encoding.png'
 _AXES = 'xyz'
@@ -30,10 +30,10 @@ _AXES = 'xyz'
 _MODES = flags.DEFINE_string(
   'modes', 'pi2', 'A mode set (pi1, pi2, ...) or mode names with commas.'
 )
-_MODE_FILE = flags.DEFINE_string(
+_MODE_FILE = config_flags.define_path(
   'mode_file', None, 'YAML or JSON file of your own modes, added to --modes.'
 )
-_OUT = flags.DEFINE_string('out', None, 'Directory to write to.')
+_OUT = config_flags.define_path('out', None, 'Directory to write to.')
 _SEED = flags.DEFINE_integer('seed', 0, 'Seed of the initial weights.')
 
 
@@ -42,10 +42,17 @@ def main(argv: Sequence[str]) -> None:
   del argv
   motions = _motions(_MODES.value, _MODE_FILE.value)
   motion_lib.check_names(motions)  # Refuses duplicates before the progress bar.
+  out = files.output_folder('out', _OUT.value)
+  if out is None:
+    raise ValueError('Say where to write to: --out=DIR.')
+  # Late, as these import torch and matplotlib.
+  from dmc_multimode.evaluation import figures
+  from dmc_multimode.modes.encoder import mode_encoder
+  from dmc_multimode.modes.encoder import training as encoder_training
+
   config = mode_encoder.EncoderConfig(
     use_contacts=encoder_training.needs_contacts(motions), seed=_SEED.value
   )
-  out = _writable(_OUT.value)
   trained = _train(motions, config)
   print(tables(trained))
   figure = draw(trained)
@@ -59,7 +66,7 @@ def main(argv: Sequence[str]) -> None:
     print(f'wrote {out / name}')
 
 
-def tables(trained: mode_encoder.ModeEncoder) -> str:
+def tables(trained: 'mode_encoder.ModeEncoder') -> str:
   """Returns the RMSE per mode and the distances between latents as text."""
   names = list(trained.rmse())
   width = max(len(name) for name in names)
@@ -79,12 +86,15 @@ def tables(trained: mode_encoder.ModeEncoder) -> str:
   return '\n'.join(lines)
 
 
-def draw(trained: mode_encoder.ModeEncoder) -> matplotlib.figure.Figure:
+def draw(trained: 'mode_encoder.ModeEncoder') -> 'matplotlib.figure.Figure':
   """Draws the paper's encoding figure, a column a mode.
 
   Base positions over time of the references on top, of the reconstructions in
   the centre, and the latents as bars at the bottom.
   """
+  from dmc_multimode.evaluation import figures
+  from dmc_multimode.modes.encoder import network
+
   motions, book = trained.motions, trained.codebook()
   figure, axes = figures.empty(3, len(motions), 2.5, 2.0)
   for other in axes[:2].flat[1:]:  # One scale in metres for both rows.
@@ -124,24 +134,16 @@ def _motions(
   return motions + tuple(m for m in extra if m.name not in named)
 
 
-def _writable(out: str | None) -> pathlib.Path:
-  """Makes the directory; raises ValueError or OSError if not writable."""
-  if not out:
-    raise ValueError('Say where to write to: --out=DIR.')
-  path = pathlib.Path(out)
-  os.makedirs(path, exist_ok=True)
-  with tempfile.TemporaryFile(dir=path):
-    return path
-
-
 def _train(
   motions: Sequence[motion_lib.ReferenceMotion],
-  config: mode_encoder.EncoderConfig,
-) -> mode_encoder.ModeEncoder:
+  config: 'mode_encoder.EncoderConfig',
+) -> 'mode_encoder.ModeEncoder':
   """Trains under a progress bar."""
+  from dmc_multimode.modes.encoder import training as encoder_training
+
   with tqdm.tqdm(desc='encoder', unit='epoch') as bar:
 
-    def show(progress: encoder_training.Progress) -> None:
+    def show(progress: 'encoder_training.Progress') -> None:
       bar.update()
       bar.set_postfix_str(
         f'worst RMSE {100 * progress.worst_rmse:.1f} cm, '

@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-from typing import Annotated, Any, Mapping
+from typing import Annotated, Any, Iterator, Mapping
 
 import pydantic
 from pydantic import dataclasses as pydantic_dataclasses
@@ -12,6 +12,7 @@ from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import mode_sampler
 from dmc_multimode.utils import config as config_lib
+from dmc_multimode.utils import constants
 from dmc_multimode.utils import schedule
 
 _Seed = Annotated[int, pydantic.Field(ge=0, lt=2**32)]
@@ -26,6 +27,7 @@ class RunConfig:
 
   Attributes:
     modes: a set's name or mode names, comma-separated.
+    steps: environment steps in all; a resumed run may be given others.
     seed: of all randomness.
     num_worlds: number of worlds of all processes.
     threads: of the physics and of torch, in each process; part of
@@ -39,6 +41,7 @@ class RunConfig:
   """
 
   modes: str = 'quickstart'
+  steps: config_lib.PositiveInt = constants.TRAINING_STEPS
   seed: _Seed = 0
   num_worlds: _Worlds = 1024
   threads: config_lib.PositiveInt = 2
@@ -93,6 +96,24 @@ def overridden(
     return dataclasses.replace(config, **new)
   except pydantic.ValidationError as error:
     raise ValueError(f'{prefix}{config_lib.describe(error)}') from error
+
+
+def differences(
+  one: Any, other: Any, prefix: str = ''
+) -> Iterator[tuple[str, Any, Any]]:
+  """Yields the values that two configurations differ in, by names of flags.
+
+  Args:
+    one, other: a `RunConfig` each, or the same part of one.
+    prefix: of the names.
+  """
+  for field in dataclasses.fields(one):
+    mine, yours = getattr(one, field.name), getattr(other, field.name)
+    is_part = dataclasses.is_dataclass(mine)
+    if is_part and not isinstance(mine, schedule.Schedule):
+      yield from differences(mine, yours, f'{prefix}{field.name}_')
+    elif mine != yours:
+      yield f'{prefix}{field.name}', mine, yours
 
 
 def to_dict(config: RunConfig) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import json
 import math
 import os
 import signal
+import sys
 import threading
 from typing import Any, Mapping, Sequence
 
@@ -31,18 +32,23 @@ from dmc_multimode.modes.encoder import training as encoder_training
 from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.suite.imitation import symmetry as task_symmetry
 from dmc_multimode.utils import config as config_lib
+from dmc_multimode.utils import files
 
 Path = str | os.PathLike[str]
 Motions = tuple[motion_lib.ReferenceMotion, ...]
 Modes = str | mode_set_lib.ModeSet | Sequence[str | motion_lib.ReferenceMotion]
 
-STEPS = runner.TrainingConfig().steps
+# More or fewer threads split the work elsewhere, and so round otherwise.
+_OTHER_THREADS = (
+  'To go on with {threads}, though not bit for bit, write "threads": {threads} '
+  'into {config} of a copy of the folder, and resume that.'
+)
 
 
 def train(
   run_dir: Path,
   modes: Modes | None = None,
-  steps: int = STEPS,
+  steps: int | None = None,
   *,
   resume: bool = False,
   init_from: Path | None = None,
@@ -62,7 +68,9 @@ def train(
     modes: name of a mode set, names of modes, or `ReferenceMotion`s, for which
       an encoder makes latents; by default those of `quickstart`, or with
       `init_from` those of the policy and of `mode_file`.
-    steps: environment steps, summed over all worlds, since the start.
+    steps: environment steps, summed over all worlds, since the start; by
+      default those of `RunConfig`, or of the run that is resumed. Other ones
+      are the resumed run's from then on.
     resume: continues the run in the folder, bit for bit.
     init_from: initial policy, a shipped one or a folder; its task and network
       become defaults.
@@ -91,7 +99,9 @@ def train(
   try:
     # By name, which is how an error calls them.
     length = runner.TrainingConfig(
-      steps=steps, minutes=minutes, keep_every=keep_every
+      steps=run_config.RunConfig().steps if steps is None else steps,
+      minutes=minutes,
+      keep_every=keep_every,
     )
   except pydantic.ValidationError as error:
     raise ValueError(config_lib.describe(error)) from error
@@ -101,7 +111,7 @@ def train(
     names,
     motions,
     steps,
-    None if init_from is None else os.fspath(init_from),
+    None if init_from is None else files.expand(init_from),
     mode_file,
     encoder,
     overrides,
@@ -109,6 +119,7 @@ def train(
   if wandb_project and communicator.rank == 0:
     loggers.check_wandb()
   run = _build(request, resume, torch.device(device), communicator)
+  length = dataclasses.replace(length, steps=run.config.steps)
   return _run(run, request.folder, length, wandb_project, communicator)
 
 
@@ -130,7 +141,7 @@ class _Request:
   folder: run_folder.RunFolder
   modes: str | None
   motions: Motions
-  steps: int
+  steps: int | None
   init_from: str | None
   mode_file: Path | None
   encoder: Path | None
@@ -143,16 +154,18 @@ class _Request:
     extra = self.motions
     if self.mode_file:
       extra = (*extra, *mode_files.load(self.mode_file))
-    threads = {'threads': distributed.local_cores()}
+    config = run_config.RunConfig()
+    if self.steps is not None:
+      config = dataclasses.replace(config, steps=self.steps)
+    motions: Motions = ()
     if start:
       motions = start.modes(self.modes, extra)
-      config = start.config(motions, self.steps)
-      config = run_config.overridden(config, {**threads, **self.overrides})
+      config = start.config(motions, config.steps)
+    threads = {'threads': distributed.local_cores()}
+    config = run_config.overridden(config, {**threads, **self.overrides})
+    if start:
       start.check(config)
       return config, motions
-    config = run_config.overridden(
-      run_config.RunConfig(), {**threads, **self.overrides}
-    )
     config = dataclasses.replace(config, modes=self.modes or config.modes)
     return config, library.resolve(config.modes, extra)
 
@@ -193,7 +206,10 @@ class _Request:
     return config, mode_set
 
   def resume(self, ranks: int) -> run_folder.Description:
-    """Reads a run; arguments that contradict it raise ValueError."""
+    """Reads a run; arguments that contradict it raise ValueError.
+
+    But for `steps`, which are the run's from now on.
+    """
     config, mode_set = self.folder.load()
     given = dict(self.overrides)
     given |= {
@@ -204,16 +220,37 @@ class _Request:
       )
       if value is not None
     }
-    stored = run_config.to_dict(config)
-    wanted = run_config.to_dict(run_config.overridden(config, given))
-    for name, value in wanted.items():
-      if value != stored[name]:
-        raise ValueError(
-          f'The run in {self.folder.path} has another {name} than these flags '
-          'say: leave them out to resume it, or name another folder.'
-        )
+    asked = run_config.overridden(config, given)
+    for name, stored, wanted in run_config.differences(config, asked):
+      hint = 'Leave that out to resume it, or name another folder.'
+      if name == 'threads':
+        hint += ' ' + self._other_threads(wanted)
+      raise ValueError(
+        f'The run in {self.folder.path} has {name}={stored}, not {wanted}. '
+        f'{hint}'
+      )
     setup.check_ranks(config, ranks)
+    if self.steps is not None:
+      config = dataclasses.replace(config, steps=self.steps)
     return config, mode_set
+
+  def warn(self, config: run_config.RunConfig) -> None:
+    """Warns of more threads than there are cores, on stderr."""
+    cores = distributed.local_cores()
+    if config.threads > cores:
+      print(
+        f'warning: {config.threads} threads have {cores} core'
+        f'{"s" * (cores > 1)} here, which is many times slower than '
+        f'threads={cores}, and stays so in this run. '
+        f'{self._other_threads(cores)}',
+        file=sys.stderr,
+        flush=True,
+      )
+
+  def _other_threads(self, threads: int) -> str:
+    """Returns the way to go on with another number of threads."""
+    name = self.folder.config.name
+    return _OTHER_THREADS.format(threads=threads, config=name)
 
 
 def _train_encoder(motions: Motions, seed: int) -> mode_encoder.ModeEncoder:
@@ -231,6 +268,7 @@ class _Opened:
   description: run_folder.Description
   has_checkpoint: bool
   is_new: bool = False
+  is_changed: bool = False
   initial: policy_lib.Policy | None = None
   tensors: Mapping[str, torch.Tensor] = dataclasses.field(default_factory=dict)
   values: Mapping[str, Any] = dataclasses.field(default_factory=dict)
@@ -243,10 +281,13 @@ def _open(
   folder, opened = request.folder, []
 
   def at_first() -> str:
+    files.output_folder('run_dir', folder.path)
     is_restart = folder.config.is_file() and launch.is_restart(folder.launch)
     is_new = not (resume or is_restart)
     prepare = request.begin if is_new else request.resume
     description = prepare(communicator.size)
+    request.warn(description[0])
+    is_changed = is_new or description[0] != folder.load()[0]
     initial = folder.load_initial(description[0])
     tensors: Mapping[str, torch.Tensor] = {}
     values: Mapping[str, Any] = {}
@@ -254,7 +295,9 @@ def _open(
       tensors, values, note = folder.checkpointer.load()
       print(note or f'Resuming at {values["steps"]:,} steps.', flush=True)
     opened.append(
-      _Opened(description, bool(values), is_new, initial, tensors, values)
+      _Opened(
+        description, bool(values), is_new, is_changed, initial, tensors, values
+      )
     )
     return json.dumps([bool(values), run_folder.describe(*description)])
 
@@ -277,6 +320,7 @@ def _build(
   run = setup.build(*opened.description, communicator, device, opened.initial)
   if opened.is_new:
     launch.note(request.folder.launch)
+  if opened.is_changed:
     request.folder.save(*opened.description)
   if opened.has_checkpoint:
     run.loop.restore(opened.tensors, opened.values)

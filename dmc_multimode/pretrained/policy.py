@@ -26,17 +26,17 @@ from dmc_multimode.agents.ppo import acting
 from dmc_multimode.agents.ppo import networks
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import mode_set as mode_set_lib
+from dmc_multimode.pretrained import folder as folder_lib
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.utils import files
-from dmc_multimode.utils import resources
 
 WEIGHTS_FILE = 'policy.safetensors'
-DESCRIPTION_FILE = 'policy.json'
+DESCRIPTION_FILE = folder_lib.DESCRIPTION_FILE
 METRICS_FILE = 'metrics.json'
-RUN_SUBFOLDER = 'policy'  # Folder of the policy in a run's folder.
+RUN_SUBFOLDER = folder_lib.RUN_SUBFOLDER
 
-_FORMAT = 'dmc_multimode.policy.1'
+_FORMAT = folder_lib.FORMAT
 _MAX_UNITS = 4096
 _NUM_ACTIONS = observations.NUM_JOINTS
 
@@ -83,7 +83,7 @@ class Policy:
         f'a {type(self.network).__name__} cannot be saved as a policy: `load` '
         'builds an ActorCritic alone; keep its weights by torch.save.'
       )
-    directory = pathlib.Path(path)
+    directory = pathlib.Path(files.expand(path))
     directory.mkdir(parents=True, exist_ok=True)
     description = {
       'format': _FORMAT,
@@ -104,30 +104,21 @@ class Policy:
     files.write_json(directory / DESCRIPTION_FILE, description)
 
 
-def names() -> tuple[str, ...]:
-  """Returns the names of the shipped policies."""
-  is_policy = lambda name: (
-    resources.path('pretrained', name) / DESCRIPTION_FILE
-  ).is_file()
-  return tuple(filter(is_policy, resources.names('pretrained')))
-
-
 def load(policy: str | os.PathLike[str]) -> Policy:
   """Loads a policy by the name of a shipped one, or from a folder.
 
   Args:
-    policy: one of `names`, a policy's folder, or a training run's folder.
+    policy: one of `pretrained.names()`, a policy's folder, or a training run's
+      folder.
 
   Raises:
     FileNotFoundError: there is no such policy; the message lists those there
       are.
     ValueError: a file is truncated, foreign, or does not fit the others.
   """
-  directory = _find(policy)
+  directory = folder_lib.find(policy)
   path = directory / DESCRIPTION_FILE
-  description = _read_json(path)
-  if description.get('format') != _FORMAT:
-    raise ValueError(f'{path} is not a policy of this version.')
+  description = folder_lib.read_description(directory)
   try:
     untrained = _untrained(description)
   except (KeyError, TypeError, ValueError, OverflowError) as error:
@@ -137,32 +128,8 @@ def load(policy: str | os.PathLike[str]) -> Policy:
   _load_weights(untrained.network, directory / WEIGHTS_FILE)
   metrics = directory / METRICS_FILE
   return dataclasses.replace(
-    untrained, metrics=_read_json(metrics) if metrics.exists() else {}
+    untrained, metrics=folder_lib.read_json(metrics) if metrics.exists() else {}
   )
-
-
-def _find(policy: str | os.PathLike[str]) -> pathlib.Path:
-  """Returns the folder of the policy's files."""
-  path = pathlib.Path(policy)
-  for candidate in (path, path / RUN_SUBFOLDER):
-    if (candidate / DESCRIPTION_FILE).is_file():
-      return candidate
-  if path.exists() and os.sep in os.fspath(policy):
-    raise FileNotFoundError(
-      f'{path} holds no {DESCRIPTION_FILE}: it is not the folder of a policy '
-      'or of a training run that has saved one.'
-    )
-  found = resources.path('pretrained', os.fspath(policy))
-  if not (found / DESCRIPTION_FILE).is_file():
-    raise FileNotFoundError(f'pretrained {os.fspath(policy)!r} is no policy.')
-  return found
-
-
-def _read_json(path: pathlib.Path) -> dict[str, Any]:
-  content = files.read_json(path)
-  if not isinstance(content, dict):
-    raise ValueError(f'{path} is damaged: it holds no object.')
-  return content
 
 
 def _untrained(description: dict[str, Any]) -> Policy:

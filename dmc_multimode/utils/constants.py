@@ -2,4 +2,5 @@
 
 GRAVITY = 9.81  # m/s^2
 CONTROL_TIMESTEP = 0.03  # Seconds between the actions of a policy.
+TRAINING_STEPS = 12_000_000  # Environment steps of a training, by default.
 STAND_HEIGHT = 0.5  # Metres from the soles to the trunk's centre in the crouch.

@@ -12,6 +12,7 @@ import tqdm
 
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.planner import plan as plan_lib
+from dmc_multimode.pretrained import folder
 from dmc_multimode.viewer import captions
 from dmc_multimode.viewer import gl
 from dmc_multimode.viewer import video
@@ -135,6 +136,10 @@ def record(
     what = _planned(plan)
   else:
     raise ValueError('Say what to record: a schedule or a plan.')
+  if isinstance(policy, (str, os.PathLike)):
+    known = folder.mode_set(policy)
+    for name in what['modes']:
+      known.index(name)  # Raises, before slow imports.
   gl.choose_backend()
   # It imports dm_control, which reads the choice.
   from dmc_multimode.viewer import rollout as rollout_lib

@@ -112,17 +112,61 @@ def test_wrong_flags(binary: Binary, flag: str, line: str) -> None:
   assert result.stderr.count('\n') == 1
 
 
-def test_help_of_a_console_script(tmp_path: pathlib.Path) -> None:
-  script = tmp_path / 'dmc-multimode-curves'
+@pytest.mark.parametrize('name', ['curves', 'train'])
+def test_help_of_a_console_script(name: str, tmp_path: pathlib.Path) -> None:
+  """The same as of `python -m`, but for the name."""
+  script = tmp_path / f'dmc-multimode-{name}'
   script.write_text(
     f'import sys\nsys.path.insert(0, {str(_ROOT)!r})\n'
-    'from dmc_multimode.bin.curves import cli\ncli()\n'
+    f'from dmc_multimode.bin.{name} import cli\ncli()\n'
   )
-  shown = subprocess.run(
-    [sys.executable, str(script), '--help'], capture_output=True, text=True
-  ).stdout
-  assert shown.startswith('Draws training curves')
-  assert '--out' in shown
+  module = 'dmc_multimode.bin.' + name
+  shown = []
+  for program in (['-m', module], [str(script)]):
+    done = subprocess.run(
+      [sys.executable, *program, '--help'],
+      cwd=_ROOT,
+      capture_output=True,
+      text=True,
+    )
+    assert (done.returncode, done.stderr) == (0, '')
+    shown.append([n for n in done.stdout.splitlines() if name not in n])
+  assert shown[0] == shown[1]
+  assert '_dir' in ''.join(shown[0]) or '--out' in ''.join(shown[0])
+
+
+@pytest.mark.parametrize(
+  ('name', 'flag'),
+  [
+    ('train', '--modes=walk_forwrd'),
+    ('train', '--init_from=pi2 --modes=walk_forwrd'),
+    ('train_encoder', '--modes=walk_forwrd'),
+    ('record', '--policy=pi2 --schedule=walk_forwrd:1'),
+  ],
+)
+def test_a_typo_is_found_before_anything_slow_is_imported(
+  name: str, flag: str, tmp_path: pathlib.Path
+) -> None:
+  code = f"""if True:
+    import sys
+    class Slow:
+      def find_spec(self, name, *args):
+        assert name not in ('torch', 'dm_control', 'matplotlib'), name
+    sys.meta_path.insert(0, Slow())
+    sys.path.insert(0, {str(_ROOT)!r})
+    from dmc_multimode.bin import {name}
+    {name}.cli()"""
+  where = {'train': '--run_dir=run', 'record': '--out=x.mp4'}
+  command = [sys.executable, '-c', code, *flag.split()]
+  done = subprocess.run(
+    [*command, where.get(name, '--out=encoder')],
+    cwd=tmp_path,
+    capture_output=True,
+    text=True,
+  )
+  assert done.returncode == 2
+  assert done.stderr.startswith("error: Unknown mode 'walk_forwrd'")
+  assert done.stderr.count('\n') == 1 and not list(tmp_path.iterdir())
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ FLAGS = (
 WARM_UP = """
 import torch
 from torch.utils import tensorboard
+from dmc_multimode.experiments import training
 torch.optim.Adam([torch.zeros(1)])
 from dmc_multimode.modes import library
 from dmc_multimode.suite import multimode_biped

@@ -27,7 +27,8 @@ def _note(folder: pathlib.Path) -> str:
   return f"""
 import os, pathlib
 from dmc_multimode.agents import checkpointing
-loop, rank = binary.runner.TrainingLoop, os.environ['RANK']
+from dmc_multimode.agents import runner
+loop, rank = runner.TrainingLoop, os.environ['RANK']
 run = loop.run
 def _run(self, *args):
   run(self, *args)
@@ -42,8 +43,8 @@ def _stall(folder: pathlib.Path) -> str:
   return f"""
 import functools, time
 os.environ['TORCHELASTIC_RUN_ID'] = 'launch'
-binary.runner.TrainingConfig = functools.partial(
-  binary.runner.TrainingConfig, checkpoint_seconds=1e-9
+runner.TrainingConfig = functools.partial(
+  runner.TrainingConfig, checkpoint_seconds=1e-9
 )
 collect = loop._collect
 def _collect(self):

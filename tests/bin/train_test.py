@@ -25,10 +25,11 @@ _ROW_EVERY = 5 * _ITERATION  # Between rows of the logs.
 # A checkpoint after every iteration; stalls with the eighth rollout at hand.
 _STALLING = """
 import functools, time
-binary.runner.TrainingConfig = functools.partial(
-  binary.runner.TrainingConfig, checkpoint_seconds=1e-9
+from dmc_multimode.agents import runner
+runner.TrainingConfig = functools.partial(
+  runner.TrainingConfig, checkpoint_seconds=1e-9
 )
-loop = binary.runner.TrainingLoop
+loop = runner.TrainingLoop
 collect = loop._collect
 loop._collect = lambda self: (
   collect(self), self.iterations == 8 and time.sleep(300)
@@ -125,15 +126,15 @@ def test_killed_run_goes_on_bit_for_bit(
   train: processes.Binary, run_dir: pathlib.Path, tmp_path: pathlib.Path
 ) -> None:
   folder = tmp_path / 'killed'
-  flags = f'--run_dir={folder}', f'--steps={_STEPS}'
-  process = train.start(*flags, *_TINY, before=_STALLING)
+  where = f'--run_dir={folder}'
+  process = train.start(where, f'--steps={_STEPS}', *_TINY, before=_STALLING)
   # A row is written, and the next iterations are under way.
   _wait_for(lambda: (folder / 'metrics.csv').exists() and _rows(folder))
   _wait_for((folder / checkpointing.PREVIOUS).exists)
   processes.send(process, signal.SIGKILL)
   assert train.wait().code == -signal.SIGKILL
 
-  done = train(*flags, '--resume')
+  done = train(where, '--resume')  # To its own length.
   assert done.code == 0, done.stderr
   assert 'Resuming' in done.stdout
   for name in ('policy/policy.safetensors', checkpointing.NAME):
@@ -159,6 +160,7 @@ def test_policies_are_kept_along_the_way(
   done = train(*flags, '--resume', f'--steps={_STEPS}')
   assert done.code == 0, done.stderr
   assert found() == ['128', '224', '320']
+  assert run_folder.RunFolder(folder).load()[0].steps == _STEPS
   tensors = []
   for name in ('policies/128', 'policies/224', 'policies/320', ''):
     policy = pretrained.load(folder / name)
@@ -241,8 +243,9 @@ def copy(run_dir: pathlib.Path, tmp_path: pathlib.Path) -> pathlib.Path:
   ('flags', 'message'),
   [
     ([], 'already holds a run'),
-    (['--resume', '--num_worlds=16'], 'num_worlds'),
-    (['--resume', '--ppo_clip=0.1'], 'ppo'),
+    (['--resume', '--num_worlds=16'], 'num_worlds=8, not 16.'),
+    (['--resume', '--ppo_clip=0.1'], 'ppo_clip=0.2, not 0.1.'),
+    (['--resume', '--threads=2'], '"threads": 2 into config.json of a copy'),
   ],
   ids=lambda value: value if isinstance(value, str) else ' '.join(value),
 )
@@ -257,6 +260,25 @@ def test_another_run_than_that_of_the_folder(
   assert done.code == 2
   assert message in done.error
   assert _files(copy) == before
+
+
+def test_more_threads_than_cores(
+  train: processes.Binary, tmp_path: pathlib.Path
+) -> None:
+  """Are warned of, and can be got rid of as the warning says."""
+  folder = tmp_path / 'home' / 'run'
+  home = f'import os; os.environ["HOME"] = {str(folder.parent)!r}'
+  train.start(
+    '--run_dir=~/run', *_TINY, '--threads=64', '--steps=32', before=home
+  )
+  done = train.wait()
+  assert done.code == 0, done.stderr
+  assert 'warning: 64 threads have' in done.stderr
+  config = folder / run_folder.CONFIG_FILE
+  config.write_text(config.read_text().replace('"threads": 64', '"threads": 1'))
+  done = train(f'--run_dir={folder}', '--resume', '--steps=64')
+  assert done.code == 0, done.stderr
+  assert 'Resuming at 32' in done.stdout and 'warning' not in done.stderr
 
 
 @pytest.mark.parametrize('name', [checkpointing.NAME, run_folder.CONFIG_FILE])
