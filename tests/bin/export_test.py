@@ -1,14 +1,22 @@
-"""Tests of dmc_multimode.bin.export."""
+"""Tests of dmc_multimode.bin.export, and of what is done with its files."""
 
 import json
 import pathlib
+import re
+import subprocess
+import sys
 from typing import Iterator
 
 import numpy as np
 import pytest
 
 from dmc_multimode import pretrained
+from dmc_multimode.deployment import description
+from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite.imitation import batched_env
 from tests.bin import processes
+
+_ROOT = pathlib.Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope='module')
@@ -20,25 +28,26 @@ def binary(
   binary.close()
 
 
-def test_the_model_acts_as_the_policy_does(
-  binary: processes.Binary, tmp_path: pathlib.Path
-) -> None:
-  for extra in ('onnx', 'onnxscript'):
+@pytest.fixture(scope='module')
+def out(
+  binary: processes.Binary, tmp_path_factory: pytest.TempPathFactory
+) -> pathlib.Path:
+  """The file of pi2, with its description beside it."""
+  for extra in ('onnx', 'onnxscript', 'onnxruntime'):
     pytest.importorskip(extra, reason='exporting takes the extra `export`')
-  onnxruntime = pytest.importorskip(
-    'onnxruntime', reason='the check takes the extra `export`'
-  )
-  out = tmp_path / 'new' / 'policy.onnx'
-  done = binary('--policy=quickstart', f'--out={out}')
+  path = tmp_path_factory.mktemp('exported') / 'new' / 'policy.onnx'
+  done = binary('--policy=pi2', f'--out={path}')
   assert done.code == 0, done.stderr
   assert not done.stderr
-  assert f'wrote {out} ({out.stat().st_size} bytes)' in done.stdout
-  assert list(out.parent.iterdir()) == [out]
+  assert f'wrote {path} ({path.stat().st_size} bytes)' in done.stdout
+  assert set(path.parent.iterdir()) == {path, path.with_suffix('.json')}
+  return path
 
-  policy, session = (
-    pretrained.load('quickstart'),
-    onnxruntime.InferenceSession(out),
-  )
+
+def test_the_model_acts_as_the_policy_does(out: pathlib.Path) -> None:
+  import onnxruntime
+
+  policy, session = pretrained.load('pi2'), onnxruntime.InferenceSession(out)
   (into,), (outof,) = session.get_inputs(), session.get_outputs()
   size = policy.network.observation_size
   assert (into.name, into.type) == ('observation', 'tensor(float)')
@@ -52,7 +61,10 @@ def test_the_model_acts_as_the_policy_does(
 
   properties = session.get_modelmeta().custom_metadata_map
   values = {key: json.loads(value) for key, value in properties.items()}
-  assert len(values) == 4
+  assert values['deployment'] == json.loads(
+    out.with_suffix('.json').read_text()
+  )
+  assert len(values) == 5
   assert values['modes'] == [motion.name for motion in policy.mode_set.motions]
   assert values['control_timestep'] == policy.config.control_timestep
   np.testing.assert_array_equal(values['latents'], policy.mode_set.latents)
@@ -61,13 +73,109 @@ def test_the_model_acts_as_the_policy_does(
   assert list(sizes)[:2] == ['clock', 'command']
 
 
+def test_the_description_is_that_of_the_task(out: pathlib.Path) -> None:
+  """A controller that knows nothing else sees and acts as the task does."""
+  about = json.loads(out.with_suffix('.json').read_text())
+  policy = pretrained.load('pi2')
+  worlds = batched_env.BatchedImitation(
+    multimode_biped.make_task(policy.mode_set, config=policy.config), 1, 0, 1
+  )
+  seen = worlds.reset()[0]
+  (mode,) = (
+    mode
+    for mode in about['modes']
+    if mode['name'] == policy.mode_set.names[worlds.core.tracker.state.mode[0]]
+  )
+  for part in about['observation']:
+    values = seen[part['start'] : part['start'] + part['size']]
+    if part['name'] == 'command':
+      np.testing.assert_array_equal(values, np.float32(mode['latent']))
+    if part['name'] == 'joints_pos':
+      np.testing.assert_array_equal(values, np.float32(worlds.qpos[0, 7:]))
+  assert part['start'] + part['size'] == len(seen)
+  spec, model, servos = (
+    worlds.action_spec(),
+    worlds.physics.model,
+    about['servos'],
+  )
+  np.testing.assert_array_equal(about['action']['minimum'], spec.minimum)
+  np.testing.assert_array_equal(
+    about['action']['standing'], worlds.standing_action()
+  )
+  # Eq. 2, as the engine computes it.
+  for name in about['joints']:
+    assert model.actuator(f'walker/{name}').id >= 0
+  action = np.random.RandomState(0).uniform(-1, 1, 10)
+  q, rates = worlds.qpos[0, 7:].copy(), worlds.qvel[0, 6:].copy()
+  worlds.physics.batch.bind('ctrl')[0] = action
+  worlds.physics.batch.step()
+  torque = np.array(servos['stiffness']) * (action - q)
+  torque -= np.array(servos['damping']) * rates
+  np.testing.assert_allclose(
+    worlds.physics.batch.bind('actuator_force')[0],
+    np.clip(torque, -np.array(servos['limit']), servos['limit']),
+    atol=1e-9,
+  )
+
+
+def test_the_document_has_the_parts() -> None:
+  text = (_ROOT / 'docs' / 'DEPLOY.md').read_text()
+  for part in description.parts(4):
+    cells = (part[key] for key in ('size', 'unit', 'frame', 'formula'))
+    assert f'| `{part["name"]}` | {" | ".join(map(str, cells))} |' in text
+
+
+@pytest.mark.parametrize('milliseconds', [2, 5])
+def test_the_example_controller_stands_on_the_block(
+  binary: processes.Binary,
+  out: pathlib.Path,
+  tmp_path: pathlib.Path,
+  milliseconds: int,
+) -> None:
+  """After 20 s of walk, leap, idle and launch, without this package."""
+  done = binary(
+    '--format=mjcf',
+    '--arena=block',
+    '--sizes=distance:6',
+    f'--physics_timestep={milliseconds / 1000}',
+    f'--out={tmp_path}',
+  )
+  assert done.code == 0, done.stderr
+  run = subprocess.run(
+    [sys.executable, '-W', 'error', '-c', _ALONE]
+    + [str(_ROOT / 'examples' / 'deploy_mujoco.py')]
+    + [str(out), str(tmp_path / 'mini_biped_block.xml')],
+    cwd=tmp_path,
+    capture_output=True,
+    text=True,
+  )
+  assert run.returncode == 0, run.stdout + run.stderr
+  assert [line.split()[2] for line in run.stdout.splitlines()[:-1]] == [
+    *('walk_forward', 'leap_forward', 'idle', 'walk_forward'),
+    *('launch', 'idle'),
+  ]
+  place, height = map(float, re.findall(r'([\d.]+) m', run.stdout)[-2:])
+  assert place > 6 and abs(height - 0.5) < 0.15
+
+
+# Runs a program where this package cannot be imported.
+_ALONE = """
+import runpy, sys
+sys.modules['dmc_multimode'] = None
+sys.argv = sys.argv[1:]
+runpy.run_path(sys.argv[0], run_name='__main__')
+"""
+
+
 def test_a_wrong_model_is_not_written(
   binary: processes.Binary, tmp_path: pathlib.Path
 ) -> None:
   out = tmp_path / 'policy.onnx'
   out.write_bytes(b'as before')
-  wrong = 'binary.to_onnx = lambda policy: b""; '
-  wrong += 'binary.difference = lambda policy, model: 1e-3'
+  wrong = 'from dmc_multimode.deployment import onnx_export as lib; '
+  wrong += (
+    'lib.to_onnx = lambda *args: b""; lib.difference = lambda *args: 1e-3'
+  )
   binary.start('--policy=quickstart', f'--out={out}', before=wrong)
   done = binary.wait()
   assert done.code == 2
@@ -79,6 +187,9 @@ def test_bad_input(binary: processes.Binary, tmp_path: pathlib.Path) -> None:
   for flags, message in (
     ([], 'Say what to write'),
     ([f'--out={tmp_path}'], 'is a folder'),
+    ([f'--out={tmp_path}/x.json'], 'name a .onnx'),
+    ([f'--out={tmp_path}/x', '--arena=gap'], '--arena says nothing'),
+    (['--format=mjcf', f'--out={tmp_path}', '--arena=moon'], "'moon'"),
   ):
     done = binary(*flags)
     assert done.code == 2, done.stderr

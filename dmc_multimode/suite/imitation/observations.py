@@ -78,6 +78,13 @@ class CriticView(NamedTuple):
   gap: np.ndarray
 
 
+FRAMES: Mapping[str, str] = {
+  'world': 'z up, x along the track',
+  'heading': 'the world turned by the commanded heading about z',
+  'trunk': 'fixed in the trunk: x ahead, y to the left, z up',
+}
+
+
 @dataclasses.dataclass(frozen=True)
 class Term:
   """One part of the flat observation.
@@ -90,6 +97,7 @@ class Term:
       that of the mirrored mode.
     signs: of the entries in the left-right mirror image, [size]; 1 if None.
     order: indices of the entries in the mirror image, [size]; itself if None.
+    frame: that its vectors are in, one of `FRAMES`; empty for none.
   """
 
   name: str
@@ -98,6 +106,7 @@ class Term:
   size: int | None = 1
   signs: tuple[int, ...] | None = None
   order: tuple[int, ...] | None = None
+  frame: str = ''
 
 
 # Equal angles of the two legs, left leg first, are mirror images.
@@ -110,7 +119,11 @@ POLICY_TERMS: tuple[Term, ...] = (
   Term('clock', '', lambda view: clock(view.phase), 2),
   Term('command', '', lambda view: view.command, None),
   Term(
-    'height', 'm', lambda view: view.qpos[:, 2:3] - view.support[:, None], 1
+    'height',
+    'm',
+    lambda view: view.qpos[:, 2:3] - view.support[:, None],
+    1,
+    frame='world',
   ),
   Term(
     'orientation',
@@ -118,6 +131,7 @@ POLICY_TERMS: tuple[Term, ...] = (
     lambda view: heading_frame(view.quaternion, view.heading),
     4,
     _QUATERNION,
+    frame='heading',
   ),
   Term(
     'joints_pos',
@@ -132,6 +146,7 @@ POLICY_TERMS: tuple[Term, ...] = (
     lambda view: view.trunk.apply(view.qvel[:, :3], inverse=True),
     3,
     _VECTOR,
+    frame='trunk',
   ),
   Term(
     'angular_velocity',
@@ -139,6 +154,7 @@ POLICY_TERMS: tuple[Term, ...] = (
     lambda view: view.qvel[:, 3:6],
     3,
     _AXIAL_VECTOR,
+    frame='trunk',
   ),
   Term(
     'joints_vel',
@@ -155,6 +171,7 @@ CRITIC_TERMS: tuple[Term, ...] = (
     lambda view: _in_heading(view.position - view.reference, view.heading),
     3,
     _VECTOR,
+    frame='heading',
   ),
   Term('contact', '', lambda view: view.contact, 2, order=(1, 0)),
   Term(
