@@ -41,7 +41,8 @@ class Controller:
     clock = [np.sin(angle), np.cos(angle)]
     parts = {'clock': clock, 'command': self.mode['latent'], **sensed}
     seen = np.concatenate([parts[p['name']] for p in self.about['observation']])
-    (actions,) = self._model.run(None, {'observation': np.float32([seen])})
+    seen = seen[None].astype(np.float32)
+    (actions,) = self._model.run(None, {'observation': seen})
     self.phase += self.about['control_timestep'] / self.mode['duration']
     if self.phase >= 1:
       self.phase = 1.0 if self.mode['kind'] == 'transient' else self.phase - 1

@@ -1,12 +1,15 @@
-"""Tests of the wheel's content, and of installs by users."""
+"""Tests of the wheel's and the sdist's content, and of installs by users."""
 
 import configparser
+import email
 import os
 import pathlib
+import re
 import shutil
 import subprocess
 import sys
 import sysconfig
+import tarfile
 import zipfile
 
 import pytest
@@ -63,12 +66,11 @@ def test_the_checkout_does_not_hide_the_standard_library() -> None:
 def source(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
   """A copy of the checkout: builds leave files in their tree."""
   pytest.importorskip('setuptools', minversion='77')
-  folder = tmp_path_factory.mktemp('checkout')
-  for name in ('dmc_multimode', 'flags', 'xml'):
-    ignore = shutil.ignore_patterns('__pycache__')
-    shutil.copytree(_ROOT / name, folder / name, symlinks=True, ignore=ignore)
-  for name in ('setup.cfg', 'pyproject.toml', 'LICENSE', 'README.md'):
-    shutil.copy(_ROOT / name, folder)
+  folder = tmp_path_factory.mktemp('source') / 'checkout'
+  not_ours = ['.git', '.venv', '.*_cache', '.hypothesis', '__pycache__']
+  not_ours += ['*.egg-info', 'build', 'dist', 'out', 'runs']
+  ignore = shutil.ignore_patterns(*not_ours)
+  shutil.copytree(_ROOT, folder, symlinks=True, ignore=ignore)
   return folder
 
 
@@ -104,6 +106,46 @@ def test_wheel_holds_code_and_data(wheel: pathlib.Path) -> None:
   tops = {name.split('/')[0] for name in held}
   assert tops == {'dmc_multimode', next(t for t in tops if 'dist-info' in t)}
   assert any(name.endswith('LICENSE') for name in held)
+
+
+@pytest.mark.slow
+def test_the_index_shows_links_that_lead_somewhere(wheel: pathlib.Path) -> None:
+  with zipfile.ZipFile(wheel) as archive:
+    (name,) = (n for n in archive.namelist() if n.endswith('/METADATA'))
+    shown = email.message_from_bytes(archive.read(name))
+  assert shown['Author'] == 'The dmc_multimode authors'
+  urls = shown.get_all('Project-URL') or []
+  (home,) = {url for url in urls if url.startswith('Source')}
+  ours = re.compile(
+    re.escape(home.removeprefix('Source, ')) + '/(raw|blob)/main/(.*)'
+  )
+  links = re.findall(r'(!?)\[[^\]]*\]\(([^)]*)\)', str(shown.get_payload()))
+  assert {kind for kind, _ in links} == {'!', ''}
+  for kind, link in links:
+    assert link.startswith('https://'), link
+    if found := ours.fullmatch(link):
+      assert found[1] == ('raw' if kind else 'blob')
+      assert (_ROOT / found[2].partition('#')[0]).exists(), link
+
+
+@pytest.mark.slow
+def test_sdist_holds_the_checkout(
+  source: pathlib.Path, tmp_path: pathlib.Path
+) -> None:
+  """And so the tests, and all that they read."""
+  code = f'from setuptools import build_meta as b; b.build_sdist("{tmp_path}")'
+  command = f'import os; os.chdir("{source}"); {code}'
+  _run(sys.executable, '-c', command)
+  (built,) = tmp_path.glob('*.tar.gz')
+  with tarfile.open(built) as archive:
+    held = {name.partition('/')[2] for name in archive.getnames()}
+  files = {
+    os.path.relpath(os.path.join(folder, name), source)
+    for folder, _, names in os.walk(source, followlinks=True)
+    for name in names
+    if not folder.endswith('.egg-info')
+  }
+  assert len(files) > 300 and not files - held
 
 
 @pytest.fixture(scope='module', params=['wheel', 'editable'])

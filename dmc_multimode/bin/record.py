@@ -50,7 +50,7 @@ _GHOST = flags.DEFINE_bool('ghost', True, 'Draw the reference.')
 _TERMINATE = flags.DEFINE_bool(
   'terminate', False, 'Stop where an episode would end early.'
 )
-_COMPARE = flags.DEFINE_string(
+_COMPARE = config_flags.define_path(
   'compare', None, 'Another policy to show beside, on the same schedule.'
 )
 _SLOW_MOTION = flags.DEFINE_float('slow_motion', 1.0, 'Times slower than life.')
