@@ -6,8 +6,9 @@ r"""Runs an exported policy in plain MuJoCo: nothing here is of dmc_multimode.
   python examples/deploy_mujoco.py out/pi2.onnx out/mini_biped_block.xml
 
 For 20 s the robot walks, leaps, stands, walks up to the block, launches itself
-onto it and stands there. docs/DEPLOY.md has the formulas; modes that turn would
-also need the heading, which is 0 here.
+onto it and stands there. A third argument delays its actions by so many seconds.
+docs/DEPLOY.md has the formulas; modes that turn would also need the heading,
+which is 0 here.
 """
 
 import json
@@ -64,7 +65,7 @@ def sense(data: mujoco.MjData, support: float) -> dict[str, np.ndarray]:
   }
 
 
-def main(policy: str, scene: str) -> int:
+def main(policy: str, scene: str, delay: str = '0') -> int:
   """Runs a policy in a scene; returns 0 if the robot never falls."""
   controller = Controller(pathlib.Path(policy))
   model = mujoco.MjModel.from_xml_path(scene)
@@ -84,14 +85,17 @@ def main(policy: str, scene: str) -> int:
     ('idle', np.inf, np.inf),
   ]
   period, began = controller.about['control_timestep'], 0.0
+  steps, late = (round(t / model.opt.timestep) for t in (period, float(delay)))
   for time in np.arange(0.0, SECONDS, period):
     _, seconds, place = schedule[0]
     if time - began > seconds - period / 2 or data.qpos[0] > place:
       began, schedule = time, schedule[1:]
     controller.command(schedule[0][0])
     support = tops[starts <= data.qpos[0]][-1]
-    data.ctrl[servos] = controller.act(sense(data, support))
-    mujoco.mj_step(model, data, round(period / model.opt.timestep))
+    action = controller.act(sense(data, support))
+    mujoco.mj_step(model, data, late)
+    data.ctrl[servos] = action
+    mujoco.mj_step(model, data, steps - late)
     x, z = data.qpos[0], data.qpos[2] - tops[starts <= data.qpos[0]][-1]
     if began == time or not z > controller.about['fallen_below']:
       print(f'{time:5.2f} s: {controller.mode["name"]} at x = {x:.2f} m')

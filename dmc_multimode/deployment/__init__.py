@@ -1,5 +1,6 @@
 """Files with which robots and simulations run without this package.
 
+deployment.write_onnx(pretrained.load('pi2'), 'out/pi2.onnx')  # and pi2.json
 deployment.write_mjcf('out', arena='gap_block')
 """
 
@@ -8,10 +9,16 @@ from typing import Any, TYPE_CHECKING
 from dmc_multimode.utils import lazy
 
 if TYPE_CHECKING:
+  from dmc_multimode.deployment.description import describe as describe
   from dmc_multimode.deployment.mjcf_export import write as write_mjcf
+  from dmc_multimode.deployment.onnx_export import write as write_onnx
 
-_HOMES = {'write_mjcf': 'mjcf_export:write'}
-__all__ = ['write_mjcf']
+_HOMES = {
+  'describe': 'description',
+  'write_mjcf': 'mjcf_export:write',
+  'write_onnx': 'onnx_export:write',
+}
+__all__ = ['describe', 'write_mjcf', 'write_onnx']
 
 
 def __getattr__(name: str) -> Any:
