@@ -6,7 +6,7 @@ r"""Runs an exported policy in plain MuJoCo: nothing here is of dmc_multimode.
   python examples/deploy_mujoco.py out/pi2.onnx out/mini_biped_block.xml
 
 For 20 s the robot walks, leaps, stands, walks up to the block, launches itself
-onto it and stands there. A third argument delays its actions by so many seconds.
+onto it and stands there. A third argument delays actions by so many seconds.
 docs/DEPLOY.md has the formulas; modes that turn would also need the heading,
 which is 0 here.
 """
