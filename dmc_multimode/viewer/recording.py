@@ -136,10 +136,11 @@ def record(
     what = _planned(plan)
   else:
     raise ValueError('Say what to record: a schedule or a plan.')
-  if isinstance(policy, (str, os.PathLike)):
-    known = folder.mode_set(policy)
-    for name in what['modes']:
-      known.index(name)  # Raises, before slow imports.
+  for each in (policy, compare):
+    if isinstance(each, (str, os.PathLike)):
+      known = folder.mode_set(each)
+      for name in what['modes']:
+        known.index(name)  # Raises, before slow imports.
   gl.choose_backend()
   # It imports dm_control, which reads the choice.
   from dmc_multimode.viewer import rollout as rollout_lib
