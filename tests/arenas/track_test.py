@@ -188,7 +188,8 @@ def test_robots_and_a_task_of_dm_control(
   make: Callable[[], Any], name: str
 ) -> None:
   """A robot falls as on dm_control's floor; every episode draws a track."""
-  heights, edges = [], []
+  heights: list[float] = []
+  edges: list[float] = []
   for arena in (track.make(name), floors.Floor(), track.make(name)):
     robot = make()
     task = go_to_target.GoToTarget(robot, arena, walker_spawn_position=(0, 0))

@@ -105,10 +105,10 @@ _OTHERS: dict[str, str] = {
 
 def _cases() -> Iterator[Any]:
   """Yields the cases with the names to replace, as pytest's parameters."""
-  loader = unittest.TestLoader()
+  loader: Any = unittest.TestLoader()
   for run, module, names in _RUNS:
     for suite in loader.loadTestsFromModule(module):
-      for case in suite:  # type: ignore[union-attr]
+      for case in suite:
         name = case._testMethodName
         arguments = getattr(case, '_test_params_reprs', {}).get(name, '')
         label = f'{run}.{type(case).__name__}.{name}{arguments}'
