@@ -62,8 +62,8 @@ def test_importing_the_package_loads_nothing_but_itself() -> None:
 
 def test_importing_the_suite_loads_little_beyond_dm_controls() -> None:
   loaded = _loaded_by('from dmc_multimode import suite')
-  assert 'dm_control.composer' in loaded
-  late = {'scipy.spatial', 'dmc_multimode.pretrained'}
+  assert 'dm_control.suite' in loaded
+  late = {'dm_control.composer', 'scipy.spatial', 'dmc_multimode.pretrained'}
   assert not loaded & (_HEAVY | late)
 
 

@@ -4,29 +4,36 @@ One task a mode, one for each of the paper's mode sets, and one for each track
 that is to be crossed by mode commands. Factories have the signature of
 dm_control's own: `time_limit` in seconds, `random` (a seed or a `RandomState`)
 and `environment_kwargs` for the `composer.Environment`; some take more.
+
+Composer, robot and tracks are imported by the functions that need them: to load
+the suite should take hardly longer than to load dm_control's.
 """
+
+from __future__ import annotations
 
 import dataclasses
 import os
-from typing import Any, Callable, Mapping, Sequence
+from typing import Any, Callable, Mapping, Sequence, TYPE_CHECKING
 
-from dm_control import composer
 from dm_control.utils import containers
 import dm_env
 import numpy as np
 
-from dmc_multimode.arenas import terrain as terrain_lib
-from dmc_multimode.arenas import track
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
-from dmc_multimode.suite.imitation import composer_task
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes as episodes_lib
 from dmc_multimode.suite.imitation import rewards
-from dmc_multimode.suite.reaching import environment as reaching_env
 from dmc_multimode.suite.reaching import problem as reaching
-from dmc_multimode.walkers import mini_biped
+
+if TYPE_CHECKING:
+  from dm_control import composer
+
+  from dmc_multimode.arenas import terrain as terrain_lib
+  from dmc_multimode.arenas import track
+  from dmc_multimode.suite.imitation import composer_task
+  from dmc_multimode.suite.reaching import environment as reaching_env
 
 SUITE = containers.TaggedTasks()
 
@@ -59,6 +66,10 @@ def make_task(
   Raises:
     ValueError: the arena or a mode is unknown.
   """
+  from dmc_multimode.arenas import track
+  from dmc_multimode.suite.imitation import composer_task
+  from dmc_multimode.walkers import mini_biped
+
   if not isinstance(mode_set, mode_set_lib.ModeSet):
     mode_set = library.mode_set(mode_set)
   if isinstance(arena, str):
@@ -90,6 +101,8 @@ def make_environment(
     random: a seed, or the source of all randomness.
     environment_kwargs: for the `composer.Environment`; override ours.
   """
+  from dm_control import composer
+
   kwargs: dict[str, Any] = {
     # Half a physics step early: the physics' clock adds up rounding errors, and
     # an episode would last one control step too long.
@@ -176,6 +189,9 @@ def reach(
     FileNotFoundError, TypeError: `policy` is not a policy.
     ValueError: no knot fits into `time_limit`.
   """
+  from dmc_multimode.arenas import track
+  from dmc_multimode.suite.reaching import environment as reaching_env
+
   policy = reaching_env.load_policy(policy)
   arena = track.make(track_name)
 

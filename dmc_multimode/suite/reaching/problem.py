@@ -14,7 +14,6 @@ from typing import Mapping, NamedTuple, Protocol
 import numpy as np
 
 from dmc_multimode.arenas import terrain as terrain_lib
-from dmc_multimode.arenas import track as track_lib
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.suite.imitation import config as config_lib
 from dmc_multimode.suite.imitation import events
@@ -137,6 +136,9 @@ def problem(
 
 def random_problem(seed: int) -> ReachingConfig:
   """Returns the problem of crossing the random track of a seed."""
+  # Late: a track needs Composer, which the names of problems do not.
+  from dmc_multimode.arenas import track as track_lib
+
   track = track_lib.make(RANDOM_TRACK)
   terrain = track.generate(np.random.RandomState(seed))
   return problem(RANDOM_TRACK, terrain, seed)
