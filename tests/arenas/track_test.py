@@ -88,7 +88,9 @@ def test_every_layout_generates(name: str) -> None:
   ],
 )
 def test_by_hand(name: str, expected: list[tuple[float, float, float]]) -> None:
-  drawn = track.make(name).generate(np.random.RandomState(0))
+  arena = track.make(name)
+  assert arena.size == (expected[0][1], 4.0)
+  drawn = arena.generate(np.random.RandomState(0))
   found = np.stack([field[0, : len(expected)] for field in drawn], axis=-1)
   np.testing.assert_allclose(found, expected)
   assert np.isinf(drawn.starts[0, len(expected) :]).all()

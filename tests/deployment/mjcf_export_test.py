@@ -12,6 +12,7 @@ from dmc_multimode.arenas import layouts
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track
 from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite.imitation import config
 from dmc_multimode.suite.imitation import mujoco_worlds
 from dmc_multimode.utils import resources
 from dmc_multimode.walkers import mini_biped
@@ -56,15 +57,20 @@ def test_the_track_is_in_place(arena: str, tmp_path: pathlib.Path) -> None:
 
 
 # Where the robot is dropped: at the start, and over the edge of the block.
-@pytest.mark.parametrize(('arena', 'x'), [('parkour', 0.0), ('gap_block', 1.6)])
+@pytest.mark.parametrize(
+  ('arena', 'x', 'timestep'),
+  [('parkour', 0.0, 0.005), ('gap_block', 1.6, 2e-3)],
+)
 def test_it_steps_as_both_engines_do(
-  arena: str, x: float, tmp_path: pathlib.Path
+  arena: str, x: float, timestep: float, tmp_path: pathlib.Path
 ) -> None:
-  task = multimode_biped.make_task('idle', arena=arena)
+  settings = config.ImitationConfig(physics_timestep=timestep)
+  task = multimode_biped.make_task('idle', arena=arena, config=settings)
   env = multimode_biped.make_environment(task, 0)
   env.reset()
   num, substeps = np.array([0]), task.config.substeps
-  model, data = _load(deployment.write_mjcf(tmp_path, arena=arena))
+  path = deployment.write_mjcf(tmp_path, arena=arena, timestep=timestep)
+  model, data = _load(path)
   data.qpos[[0, 2]] += [x, x / 2]
   compiled = mujoco_worlds.compile_model(task)
   worlds = mujoco_worlds.MujocoWorlds(compiled, task.root_entity, 1, 1)
