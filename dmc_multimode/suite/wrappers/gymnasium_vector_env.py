@@ -8,6 +8,8 @@ Some of Gymnasium's own wrappers, and some libraries, know but one way in which
 the next episode begins: `autoreset_mode` has all three.
 """
 
+import dataclasses
+import math
 from typing import Any, Mapping
 
 from dm_control import mjcf
@@ -126,7 +128,10 @@ class BatchedVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
   @spec.setter
   def spec(self, spec: Any) -> None:
-    self._spec = gymnasium_env.limited(spec, self._task.config.horizon)
+    config = self._task.config
+    is_limited = math.isfinite(config.time_limit)
+    steps = config.horizon if is_limited else None
+    self._spec = gymnasium_env.limited(spec, steps)
 
   def reset(
     self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -192,12 +197,10 @@ class BatchedVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         f'The episodes of worlds {ended.tolist()} are over: call '
         f'reset(options={{"{_MASK}": mask}}).'
       )
-    actions = np.asarray(actions)
-    if begins:  # Nothing moves where the next episode is about to begin.
-      actions = np.where(self._over[:, None], 0.0, actions)
+    # Nothing moves where the next episode is about to begin.
     self._worlds.moving[:] = ~self._over
     before = self._modes()['mode']
-    step = self._worlds.step(actions)
+    step = self._worlds.step(np.asarray(actions))
     last, observation, reward = step.last, step.observation, step.reward
     if begins:
       observation = self._worlds.reset(ended)
@@ -297,7 +300,8 @@ def make_vector(
     ValueError: the task is unknown, or an argument unknown or out of bounds.
   """
   kwargs_of_task = {'time_limit': time_limit, **(task_kwargs or {})}
-  built = _load(task, kwargs_of_task)
+  environment: Any = suite.load(suite.DOMAIN, task, kwargs_of_task)
+  built: composer_task.Imitation = environment.task
   if max_episode_steps not in (None, -1):
     config = built.config
     if not 0 < max_episode_steps <= config.horizon:
@@ -306,12 +310,6 @@ def make_vector(
         f'the time limit, got {max_episode_steps}: time_limit=SECONDS is what '
         'makes episodes longer.'
       )
-    kwargs_of_task['time_limit'] = max_episode_steps * config.control_timestep
-    built = _load(task, kwargs_of_task)
+    limit = max_episode_steps * config.control_timestep
+    built.config = dataclasses.replace(config, time_limit=limit)
   return BatchedVectorEnv(built, num_envs, **kwargs)
-
-
-def _load(task: str, kwargs: Mapping[str, Any]) -> composer_task.Imitation:
-  """Returns the Composer task of a name."""
-  environment: Any = suite.load(suite.DOMAIN, task, kwargs)
-  return environment.task
