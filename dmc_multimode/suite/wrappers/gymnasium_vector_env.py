@@ -113,13 +113,18 @@ class BatchedVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     self._over = np.zeros(num_envs, dtype=bool)
     self._spec: Any = None
     self.mode_names = task.mode_set.names
+    self._declare_spaces()
+
+  def _declare_spaces(self) -> None:
+    """Declares the spaces of one world and of all."""
     self.single_observation_space = gymnasium.spaces.Box(
       -np.inf, np.inf, self._worlds.observation_spec().shape, np.float32
     )
     self.single_action_space = gymnasium_env.space(self._worlds.action_spec())
-    batch = gymnasium.vector.utils.batch_space
-    self.observation_space = batch(self.single_observation_space, num_envs)
-    self.action_space = batch(self.single_action_space, num_envs)
+    self.observation_space, self.action_space = (
+      gymnasium.vector.utils.batch_space(space, self.num_envs)
+      for space in (self.single_observation_space, self.single_action_space)
+    )
 
   @property
   def spec(self) -> Any:
@@ -205,12 +210,11 @@ class BatchedVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     if begins:
       observation = self._worlds.reset(ended)
       reward[ended] = 0.0
+    infos, final = self._modes(), observation.copy()
+    final[last] = step.final_observation  # Finite, whatever the physics did.
     if self.autoreset_mode is not AutoresetMode.SAME_STEP:
-      self._over = last.copy()
-    infos = self._modes()
-    if last.any() and self.autoreset_mode is AutoresetMode.SAME_STEP:
-      final = observation.copy()
-      final[last] = step.final_observation
+      observation, self._over = final, last.copy()
+    elif last.any():
       infos |= {
         'final_obs': final,
         '_final_obs': last.copy(),

@@ -376,6 +376,16 @@ def test_worlds_begin_anew_as_those_of_gymnasium_do(mode: Any) -> None:
   np.testing.assert_equal(run(ours), run(theirs))
 
 
+@pytest.mark.parametrize('mode', _Autoreset)
+def test_a_world_that_diverged_is_seen_in_finite_numbers(mode: Any) -> None:
+  envs = _batch('idle', 2, autoreset_mode=mode)
+  envs.reset(seed=0)
+  envs._worlds.qvel[1] = np.nan
+  observation, reward, terminated, _, infos = envs.step(np.zeros((2, 10)))
+  assert np.isfinite(infos.get('final_obs', observation)).all()
+  assert terminated.tolist() == [False, True] and reward[1] == 0.0
+
+
 @pytest.mark.parametrize(
   ('mask', 'error'),
   [
