@@ -86,9 +86,8 @@ class Imitation(composer.Task):
     # Without a GPU shadows cost half of a frame, and much more at 2048.
     root.visual.quality.shadowsize = 1024
     root.statistic.center, root.statistic.extent = [0, 0, 0.5], 3.0
-    if root.size.njmax is None:  # MuJoCo takes one of them.
-      # More than boxes and feet need, so that memory never grows.
-      root.size.memory = '2M'
+    # More than boxes and feet need, so that memory never grows.
+    root.size.memory = '2M'
 
   def make_core(
     self, num_worlds: int, max_knots: int
