@@ -18,9 +18,14 @@ from pydantic import fields as pydantic_fields
 
 _T = TypeVar('_T')
 
-# No conversions of text or bool to numbers; no unknown fields.
+# No conversions of text or bool to numbers; no unknown fields. Validators are
+# built when they are first used: importing the suite builds few.
 STRICT = pydantic.ConfigDict(
-  strict=True, extra='forbid', allow_inf_nan=False, validate_default=True
+  strict=True,
+  extra='forbid',
+  allow_inf_nan=False,
+  validate_default=True,
+  defer_build=True,
 )
 _field = pydantic_fields.Field
 
