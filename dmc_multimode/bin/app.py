@@ -115,7 +115,8 @@ def _parse_flags(args: Sequence[str], known_only: bool = False) -> list[str]:
     sys.exit(0)  # After `--help`, which absl ends with 1.
   except flags.UnrecognizedFlagError as error:
     sys.exit(_report(_old_flag_error(error)))
-  except flags.Error as error:
+  # absl lets pass what a flagfile's bytes or a flag of its own raise.
+  except (flags.Error, ValueError, OSError) as error:
     sys.exit(_report(error))
 
 

@@ -21,8 +21,8 @@ def expand(path: Path) -> str:
   text = os.path.expanduser(os.fspath(path))
   if text.startswith('~'):
     raise ValueError(
-      f'{text}: {text.split(os.sep)[0]} is no home folder; a file of such a '
-      f'name is ./{text}.'
+      f'{text.split(os.sep)[0]} is no home folder; a file of such a name is '
+      f'./{text}.'
     )
   return text
 

@@ -98,6 +98,8 @@ def test_arguments_that_are_no_flags(binary: Binary) -> None:
   [
     ('--stepz=3', "Unknown command line flag 'stepz'"),
     ('--steps=many', 'flag --steps=many: invalid literal'),
+    ('--stderrthreshold=loud', '--stderrthreshold must be one of'),
+    (f'--flagfile={sys.executable}', "'utf-8' codec can't decode"),
     (
       '--task_push_speed=0.5',
       '--task_push_speed is now --task_events_push_speed=0:SPEED@START',
