@@ -2,10 +2,8 @@
 
 import math
 import time
-from typing import Annotated, Any, Callable, Mapping
+from typing import Any, Callable, Mapping
 
-import pydantic
-from pydantic import dataclasses as pydantic_dataclasses
 import torch
 
 from dmc_multimode.agents import checkpointing
@@ -20,11 +18,8 @@ from dmc_multimode.agents.ppo import rollouts
 from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import constants
 
-# Infinite, too.
-_Minutes = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=True)]
 
-
-@pydantic_dataclasses.dataclass(frozen=True, config=config_lib.STRICT)
+@config_lib.dataclass
 class TrainingConfig:
   """Length of a training, and intervals of logs and checkpoints.
 
@@ -38,7 +33,7 @@ class TrainingConfig:
   """
 
   steps: config_lib.PositiveInt = constants.TRAINING_STEPS
-  minutes: _Minutes = math.inf
+  minutes: config_lib.Duration = math.inf
   log_every: config_lib.PositiveInt = 5
   checkpoint_seconds: config_lib.Positive = 60.0
   keep_every: config_lib.Count = 0

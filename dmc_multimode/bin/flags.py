@@ -174,8 +174,8 @@ def read(config: Any, prefix: str) -> Any:
       changes[field] = FLAGS[name].value
   try:
     return dataclasses.replace(config, **changes)
-  except pydantic.ValidationError as error:
-    raise ValueError(f'--{prefix}_*: {config_lib.describe(error)}') from error
+  except ValueError as error:
+    raise ValueError(f'--{prefix}_*: {error}') from error
 
 
 def given(config: Any, prefix: str) -> dict[str, Any]:

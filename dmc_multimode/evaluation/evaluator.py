@@ -17,6 +17,7 @@ from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes as episodes_lib
+from dmc_multimode.utils import durations
 
 
 class Policy(Protocol):
@@ -115,7 +116,12 @@ class Evaluator:
       schedule: of the worlds.
       label: of the progress bar.
       recorder: measures something else than the environment does.
+
+    Raises:
+      ValueError: the task has no time limit.
     """
+    if self.config.horizon == durations.UNBOUNDED:
+      raise ValueError('An evaluation needs a finite time_limit.')
     worlds = self.make_worlds(schedule)
     measure = recorder(worlds) if recorder else None
     with tqdm.tqdm(

@@ -5,7 +5,6 @@ import json
 from typing import Annotated, Any, Iterator, Mapping
 
 import pydantic
-from pydantic import dataclasses as pydantic_dataclasses
 
 from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.suite.imitation import config as task_config
@@ -19,7 +18,7 @@ _Seed = Annotated[int, pydantic.Field(ge=0, lt=2**32)]
 _Worlds = Annotated[int, pydantic.Field(ge=1, le=1_000_000)]
 
 
-@pydantic_dataclasses.dataclass(frozen=True, config=config_lib.STRICT)
+@config_lib.dataclass
 class RunConfig:
   """Configuration that determines the result of a run.
 
@@ -62,6 +61,9 @@ class RunConfig:
     ),
   )
 
+  def __post_init__(self) -> None:
+    config_lib.check_finite(self)
+
 
 def overridden(
   config: Any, changes: Mapping[str, Any], prefix: str = ''
@@ -94,8 +96,8 @@ def overridden(
     raise ValueError(f'{prefix}{next(iter(rest))} is no setting of a run')
   try:
     return dataclasses.replace(config, **new)
-  except pydantic.ValidationError as error:
-    raise ValueError(f'{prefix}{config_lib.describe(error)}') from error
+  except ValueError as error:
+    raise ValueError(f'{prefix}{error}') from error
 
 
 def differences(

@@ -12,7 +12,6 @@ import sys
 import threading
 from typing import Any, Mapping, Sequence
 
-import pydantic
 import torch
 
 from dmc_multimode.agents import distributed
@@ -31,7 +30,6 @@ from dmc_multimode.modes.encoder import mode_encoder
 from dmc_multimode.modes.encoder import training as encoder_training
 from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.suite.imitation import symmetry as task_symmetry
-from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import files
 
 Path = str | os.PathLike[str]
@@ -96,15 +94,12 @@ def train(
       resumed, or the folder already holds one.
     FloatingPointError: a rollout or an update is not finite.
   """
-  try:
-    # By name, which is how an error calls them.
-    length = runner.TrainingConfig(
-      steps=run_config.RunConfig().steps if steps is None else steps,
-      minutes=minutes,
-      keep_every=keep_every,
-    )
-  except pydantic.ValidationError as error:
-    raise ValueError(config_lib.describe(error)) from error
+  # By name, which is how an error calls them.
+  length = runner.TrainingConfig(
+    steps=run_config.RunConfig().steps if steps is None else steps,
+    minutes=minutes,
+    keep_every=keep_every,
+  )
   names, motions = _named(modes)
   request = _Request(
     run_folder.RunFolder(run_dir),
@@ -179,6 +174,7 @@ class _Request:
     config, motions = self.configure(start)
     setup.check_ranks(config, ranks)
     mode_set = mode_set_lib.one_hot(motions)
+    config.task.check_modes(motions)
     if config.ppo.symmetry != 'none':
       task_symmetry.mirror_image(mode_set)  # Raises without one.
     encoder = None

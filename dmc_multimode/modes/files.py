@@ -16,6 +16,11 @@ A keyframe may turn the trunk by `orientation: [w, x, y, z]` or by
 axes in this order); it is upright otherwise. Optional per mode: `step: {edge,
 height}` (a `motion.Ledge`), `takeoff`, `mirror`, `half_cycle_symmetric`.
 
+A mode begins where a command finds the trunk, about (0, 0, 0.5) and upright:
+farther off than 0.35 m or 1 rad every command would be lost at once. A cycle
+closes: it ends at the height where it begins, and but for yaw in the same
+orientation; a steady mode does not turn either.
+
 Nothing in a file is executed, and every error names the file and the line.
 """
 
@@ -191,14 +196,25 @@ def motion_from_dict(data: Mapping[str, Any]) -> motion_lib.ReferenceMotion:
 def _motions(data: Any) -> tuple[motion_lib.ReferenceMotion, ...]:
   """Builds the modes of one file; raises _FieldError."""
   if not (isinstance(data, dict) and 'modes' in data):
-    return (_motion(_validated(_Mode, data), ()),)
+    return (_started(_motion(_validated(_Mode, data), ()), ()),)
   found: dict[str, motion_lib.ReferenceMotion] = {}
   for i, mode in enumerate(_validated(_Modes, data).modes):
     if mode.name in found:
       message = f'mode {mode.name!r} is given twice.'
       raise _FieldError(('modes', i, 'name'), message)
-    found[mode.name] = _motion(mode, ('modes', i))
+    found[mode.name] = _started(_motion(mode, ('modes', i)), ('modes', i))
   return tuple(found.values())
+
+
+def _started(
+  motion: motion_lib.ReferenceMotion, path: yaml_lines.Path
+) -> motion_lib.ReferenceMotion:
+  """Returns the motion; raises _FieldError if its commands would be lost."""
+  try:
+    motion_lib.check_start(motion)
+  except ValueError as error:
+    raise _FieldError((*path, 'keyframes', 0), str(error)) from None
+  return motion
 
 
 def _validated(table: type[_Table], data: Any) -> Any:

@@ -14,12 +14,16 @@ from typing import Sequence
 
 import numpy as np
 
+from dmc_multimode.utils import constants
+
 PERIODIC = 'periodic'  # The cycle repeats from where it ended.
 TRANSIENT = 'transient'  # Runs once, then holds its last pose and phase.
 STEADY = 'steady'  # One pose; only the clock runs.
 KINDS = (PERIODIC, TRANSIENT, STEADY)
 
 NUM_FEET = 2  # Contact states are ordered (left, right).
+# How far apart the ends of a cycle may be.
+_CLOSED_HEIGHT, _CLOSED_ANGLE = 0.02, 0.05  # Metres, radians.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,6 +119,83 @@ class ReferenceMotion:
       raise ValueError(f'{self.name}: takeoff must be a phase in [0, 1].')
     if self.kind == STEADY and np.any(self.positions != self.positions[0]):
       raise ValueError(f'{self.name}: a steady mode has one base position.')
+    if self.kind != TRANSIENT:
+      self._check_closed()
+
+  def _check_closed(self) -> None:
+    """Raises ValueError if the reference jumps where a cycle repeats.
+
+    A periodic mode may go on over the ground and turn about the vertical.
+    """
+    rise = self.positions[-1, 2] - self.positions[0, 2]
+    if abs(rise) > _CLOSED_HEIGHT:
+      raise ValueError(
+        f'{self.name}: a cycle must end at the height where it begins, within '
+        f'{_CLOSED_HEIGHT} m: this one ends {rise:+.3g} m from it.'
+      )
+    ends = self.orientations[[0, -1]]
+    if self.kind == PERIODIC:
+      ends = _without_yaw(ends)
+    apart = angle_between(*ends)
+    if apart > _CLOSED_ANGLE:
+      turned = 'but for yaw ' if self.kind == PERIODIC else ''
+      raise ValueError(
+        f'{self.name}: a cycle of a {self.kind} mode must end {turned}in the '
+        f'orientation in which it begins, within {_CLOSED_ANGLE} rad: this one '
+        f'ends {apart:.3g} rad from it.'
+      )
+
+
+def check_cycle(
+  motion: ReferenceMotion, control_timestep: float, clock_rate: float = 1.0
+) -> None:
+  """Raises ValueError if a control step is longer than a motion's cycle.
+
+  Args:
+    motion: a transient one has no cycle.
+    control_timestep: seconds.
+    clock_rate: of the phase.
+  """
+  fastest = motion.duration / control_timestep
+  if motion.kind == TRANSIENT or clock_rate <= fastest * (1 + 1e-9):
+    return
+  rate = f' at the clock rate {clock_rate:g}' if clock_rate != 1 else ''
+  raise ValueError(
+    f'{motion.name}: its cycle of {motion.duration:g} s{rate} is shorter than '
+    f'a control step of {control_timestep:g} s; the clock rate may be at most '
+    f'{fastest:g}.'
+  )
+
+
+def check_start(
+  motion: ReferenceMotion,
+  distance: float = constants.TRACKING_DISTANCE,
+  angle: float = constants.TRACKING_ANGLE,
+) -> None:
+  """Raises ValueError if every command of a motion would be lost at once.
+
+  A command finds the robot upright over the anchor, in the commanded heading.
+
+  Args:
+    motion: its first keyframe is checked.
+    distance: bound on that of the trunk from its reference, metres.
+    angle: bound on that of its orientation, radians.
+  """
+  stand = np.array([0.0, 0.0, constants.STAND_HEIGHT])
+  away = np.linalg.norm(motion.positions[0] - stand)
+  if away > distance:
+    raise ValueError(
+      f'{motion.name}: the first keyframe is {away:.3g} m from (0, 0, '
+      f'{constants.STAND_HEIGHT:g}), where a command finds the trunk: every '
+      f'command would be lost at once; at most {distance:g} m are possible.'
+    )
+  turned = angle_between(motion.orientations[0], np.eye(4)[0])
+  if turned > angle:
+    raise ValueError(
+      f'{motion.name}: the first keyframe is turned by {turned:.3g} rad from '
+      'upright in the commanded heading: every command would be lost at once; '
+      f'at most {angle:g} rad are possible.'
+    )
 
 
 def check_names(motions: Sequence[ReferenceMotion]) -> None:
@@ -124,6 +205,22 @@ def check_names(motions: Sequence[ReferenceMotion]) -> None:
   names = [motion.name for motion in motions]
   if len(set(names)) != len(names):
     raise ValueError(f'Mode names must be unique, got {names}.')
+
+
+def angle_between(one: np.ndarray, other: np.ndarray) -> float:
+  """Returns the angle between two unit quaternions [4], radians."""
+  return float(2 * np.arccos(np.minimum(np.abs(one @ other), 1.0)))
+
+
+def _without_yaw(quaternions: np.ndarray) -> np.ndarray:
+  """Turns orientations [K, 4] about z to a heading of zero."""
+  half = yaw(quaternions) / 2
+  c, s = np.cos(half), np.sin(half)
+  w, x, y, z = quaternions.T
+  # The product of the inverse heading (c, 0, 0, -s) and the quaternion.
+  return np.stack(
+    [c * w + s * z, c * x + s * y, c * y - s * x, c * z - s * w], 1
+  )
 
 
 def yaw(quaternions: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from typing import Sequence
 import numpy as np
 
 from dmc_multimode.modes import mode_set as mode_set_lib
+from dmc_multimode.utils import durations as durations_lib
 
 CLIPS = (0, 1)  # Algorithm 1: clip_s ~ U{0, 1}.
 SWITCH_PHASES = (0.25, 0.5, 0.75)  # Algorithm 1: phi_s ~ U{.25, .5, .75}.
@@ -52,10 +53,7 @@ class ModeSchedule:
 
   def start_steps(self, control_timestep: float) -> np.ndarray:
     """Returns the starts as control steps, [B, K]; unused ones are int max."""
-    never = np.iinfo(np.int64).max
-    steps = np.where(np.isinf(self.starts), 0.0, self.starts)
-    steps = np.rint(steps / control_timestep).astype(np.int64)
-    return np.where(np.isinf(self.starts), never, steps)
+    return durations_lib.steps(self.starts, control_timestep)
 
 
 def single(modes: np.ndarray, clock_rate: float = 1.0) -> ModeSchedule:
@@ -109,7 +107,7 @@ def from_knots(
 ) -> ModeSchedule:
   """Returns a plan: `modes` [B, K], one every `knot_duration` seconds."""
   modes = np.atleast_2d(np.asarray(modes, dtype=np.int64))
-  if not knot_duration > 0:
+  if not 0 < knot_duration < np.inf:
     raise ValueError(f'Knots must last longer than 0 s, got {knot_duration}.')
   starts = np.tile(np.arange(modes.shape[1]) * knot_duration, (len(modes), 1))
   return ModeSchedule(modes, starts, np.full(len(modes), float(clock_rate)))

@@ -3,7 +3,6 @@
 from typing import Callable, NamedTuple
 
 import numpy as np
-from pydantic import dataclasses as pydantic_dataclasses
 
 from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.utils import config as config_lib
@@ -28,7 +27,7 @@ class Solution(NamedTuple):
   episodes: int
 
 
-@pydantic_dataclasses.dataclass(frozen=True, config=config_lib.STRICT)
+@config_lib.dataclass
 class BeamConfig:
   """Parameters of the planner.
 

@@ -9,14 +9,13 @@ from typing import Annotated, Callable
 
 import numpy as np
 import pydantic
-from pydantic import dataclasses as pydantic_dataclasses
 
 from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.utils import config as config_lib
 
 
-@pydantic_dataclasses.dataclass(frozen=True, config=config_lib.STRICT)
+@config_lib.dataclass
 class QLearningConfig:
   """Parameters of the planner.
 

@@ -15,7 +15,7 @@ import dataclasses
 import functools
 import os
 import pathlib
-from typing import Any, Mapping
+from typing import Any, Callable, Mapping
 
 import mujoco
 import numpy as np
@@ -29,6 +29,8 @@ from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.pretrained import folder as folder_lib
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import observations
+from dmc_multimode.utils import arrays
+from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import files
 
 WEIGHTS_FILE = 'policy.safetensors'
@@ -39,6 +41,7 @@ RUN_SUBFOLDER = folder_lib.RUN_SUBFOLDER
 _FORMAT = folder_lib.FORMAT
 _MAX_UNITS = 4096
 _NUM_ACTIONS = observations.NUM_JOINTS
+MakeNetwork = Callable[[int, int, int], networks.ActorCritic]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -61,6 +64,11 @@ class Policy:
   provenance: Mapping[str, Any]
   metrics: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
+  def __post_init__(self) -> None:
+    # Somebody may have assigned modules of their own.
+    if self.network.own_modules(self.hidden_sizes):
+      self.network.check()
+
   @functools.cached_property
   def actor(self) -> acting.FeedForwardActor:
     """Returns an actor for one dm_env environment, deterministic."""
@@ -68,21 +76,33 @@ class Policy:
 
   @torch.no_grad()
   def select_action(self, observations: np.ndarray) -> np.ndarray:
-    """Returns mean actions [B, 10] for flat observations float32 [B, D]."""
-    return self.network.act(torch.from_numpy(observations)).numpy()
+    """Returns mean actions for flat observations.
+
+    Args:
+      observations: numbers of any type, D of them or D + P with the privileged
+        ones of the training, [B, D]. An observation that is not finite, as
+        after a divergence, has such an action.
+
+    Returns:
+      Joint targets in radians, float32 [B, 10].
+
+    Raises:
+      ValueError: they are no numbers, or have another shape.
+    """
+    rows = arrays.rows(observations, 'observations')
+    return self.network.act(torch.from_numpy(rows)).numpy()
 
   def save(self, path: str | os.PathLike[str]) -> None:
     """Writes the policy's files into a folder, each atomically.
 
+    A network with modules of one's own is saved as its weights: `load` takes
+    the function that makes it.
+
     Raises:
       OSError: the folder cannot be written.
-      ValueError: `load` could not rebuild the network.
+      ValueError: a limit of the task is infinite, which no file can hold.
     """
-    if type(self.network) is not networks.ActorCritic:
-      raise ValueError(
-        f'a {type(self.network).__name__} cannot be saved as a policy: `load` '
-        'builds an ActorCritic alone; keep its weights by torch.save.'
-      )
+    config_lib.check_finite(self.config, 'task.')
     directory = pathlib.Path(files.expand(path))
     directory.mkdir(parents=True, exist_ok=True)
     description = {
@@ -98,23 +118,32 @@ class Policy:
         **self.provenance,
       },
     }
+    own = self.network.own_modules(self.hidden_sizes)
+    if own:
+      description['own_modules'] = own
     checkpointing.save_tensors(
       directory / WEIGHTS_FILE, self.network.state_dict(), {'format': _FORMAT}
     )
     files.write_json(directory / DESCRIPTION_FILE, description)
 
 
-def load(policy: str | os.PathLike[str]) -> Policy:
+def load(
+  policy: str | os.PathLike[str], network: MakeNetwork | None = None
+) -> Policy:
   """Loads a policy by the name of a shipped one, or from a folder.
 
   Args:
     policy: one of `pretrained.names()`, a policy's folder, or a training run's
       folder.
+    network: makes the network of a policy that has modules of one's own, for
+      its weights to be loaded into: called with the numbers of observations, of
+      actions and of privileged observations, it returns an `ActorCritic`.
 
   Raises:
     FileNotFoundError: there is no such policy; the message lists those there
       are.
-    ValueError: a file is truncated, foreign, or does not fit the others.
+    ValueError: a file is truncated, foreign, or does not fit the others; or
+      the policy needs `network`.
   """
   directory = folder_lib.find(policy)
   path = directory / DESCRIPTION_FILE
@@ -125,11 +154,30 @@ def load(policy: str | os.PathLike[str]) -> Policy:
     lacks = isinstance(error, KeyError)
     reason = f'it lacks {error}.' if lacks else str(error)
     raise ValueError(f'{path} is damaged: {reason}') from error
+  if network is not None:
+    untrained = dataclasses.replace(
+      untrained, network=_made(network, untrained.network)
+    )
+  elif description.get('own_modules'):
+    raise ValueError(
+      f'{path} has modules of its own ({description["own_modules"]}): load it '
+      'by load(..., network=FUNCTION), which makes its ActorCritic.'
+    )
   _load_weights(untrained.network, directory / WEIGHTS_FILE)
   metrics = directory / METRICS_FILE
   return dataclasses.replace(
     untrained, metrics=folder_lib.read_json(metrics) if metrics.exists() else {}
   )
+
+
+def _made(
+  make: MakeNetwork, plain: networks.ActorCritic
+) -> networks.ActorCritic:
+  """Returns the network of a user's function, for acting."""
+  made = make(plain.observation_size, _NUM_ACTIONS, plain.privileged_size)
+  if not isinstance(made, networks.ActorCritic):
+    raise ValueError(f'network must return an ActorCritic, got {type(made)}')
+  return made.eval()
 
 
 def _untrained(description: dict[str, Any]) -> Policy:

@@ -26,6 +26,7 @@ from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes as episodes_lib
 from dmc_multimode.suite.imitation import rewards
 from dmc_multimode.suite.reaching import problem as reaching
+from dmc_multimode.utils import durations
 
 if TYPE_CHECKING:
   from dm_control import composer
@@ -99,18 +100,25 @@ def make_environment(
   Args:
     task: must not change its model between episodes.
     random: a seed, or the source of all randomness.
-    environment_kwargs: for the `composer.Environment`; override ours.
+    environment_kwargs: for the `composer.Environment`; override ours. A
+      `time_limit` in it becomes the task's.
+
+  Raises:
+    ValueError: the time limit is invalid.
   """
   from dm_control import composer
 
   kwargs: dict[str, Any] = {
-    # Half a physics step early: the physics' clock adds up rounding errors, and
-    # an episode would last one control step too long.
-    'time_limit': task.config.time_limit - task.config.physics_timestep / 2,
     'recompile_mjcf_every_episode': False,
     'strip_singleton_obs_buffer_dim': True,
     **(environment_kwargs or {}),
   }
+  if 'time_limit' in kwargs:
+    limit = kwargs['time_limit']
+    task.config = dataclasses.replace(task.config, time_limit=limit)
+  kwargs['time_limit'] = durations.dm_control_limit(
+    task.config.horizon, task.config.control_timestep
+  )
   return composer.Environment(task, random_state=random, **kwargs)
 
 
@@ -194,6 +202,8 @@ def reach(
 
   policy = reaching_env.load_policy(policy)
   arena = track.make(track_name)
+  kwargs = dict(environment_kwargs or {})
+  time_limit = kwargs.pop('time_limit', time_limit)
 
   def problem(terrain: terrain_lib.Terrain) -> reaching.ReachingConfig:
     return reaching.within(reaching.problem(track_name, terrain), time_limit)
@@ -206,7 +216,7 @@ def reach(
     reaching.task_config(policy, first),
   )
   # Knots end the episode, and random tracks differ in their number.
-  kwargs = {'time_limit': np.inf, **(environment_kwargs or {})}
+  kwargs['time_limit'] = np.inf
   environment = make_environment(task, random, kwargs)
   is_random = track_name == reaching.RANDOM_TRACK and time_limit is None
   most_knots = None if is_random else first.knots

@@ -3,17 +3,24 @@
 A configuration is a frozen pydantic dataclass, which checks its values at
 construction, from Python or from a file:
 
-    @pydantic_dataclasses.dataclass(frozen=True, config=config.STRICT)
+    @config.dataclass
     class PushConfig:
       speed: config.NonNegative = 0.0  # m/s
       interval: config.Positive = 1.5  # Seconds.
+
+No field takes NaN, and none but a `Limit` or `Duration` an infinity.
 """
 
 import dataclasses
+import functools
 import json
+import math
+import typing
 from typing import Annotated, Any, Mapping, Sequence, TypeVar
 
+import numpy as np
 import pydantic
+from pydantic import dataclasses as pydantic_dataclasses
 from pydantic import fields as pydantic_fields
 
 _T = TypeVar('_T')
@@ -29,11 +36,77 @@ STRICT = pydantic.ConfigDict(
 )
 _field = pydantic_fields.Field
 
+
+def _not_nan(value: float) -> float:
+  if math.isnan(value):
+    raise ValueError('must be a number, got nan')
+  return value
+
+
 Positive = Annotated[float, _field(gt=0)]
 NonNegative = Annotated[float, _field(ge=0)]
 Share = Annotated[float, _field(ge=0, le=1)]
 Count = Annotated[int, _field(ge=0)]
 PositiveInt = Annotated[int, _field(gt=0)]
+# A bound; an infinite one never applies.
+Limit = Annotated[
+  float, _field(allow_inf_nan=True), pydantic.AfterValidator(_not_nan)
+]
+# Seconds, or another unit of time; may be infinite.
+Duration = Annotated[
+  float, _field(gt=0, allow_inf_nan=True), pydantic.AfterValidator(_not_nan)
+]
+
+
+@typing.dataclass_transform(
+  frozen_default=True, field_specifiers=(dataclasses.field,)
+)
+def dataclass(kind: type[_T]) -> type[_T]:
+  """Makes a class a configuration: a decorator.
+
+  Its constructor takes numpy's numbers for Python's, and lists and arrays for
+  tuples, and raises ValueError in one line that names the field.
+  """
+  made: Any = pydantic_dataclasses.dataclass(frozen=True, config=STRICT)(kind)
+  checked = made.__init__
+  names = [field.name for field in dataclasses.fields(made) if field.init]
+
+  @functools.wraps(checked)
+  def construct(self: Any, *args: Any, **kwargs: Any) -> None:
+    # By name, which is how an error calls them.
+    given = dict(zip(names, args, strict=False))
+    given = {name: _plain(value) for name, value in given.items()}
+    plain = {name: _plain(value) for name, value in kwargs.items()}
+    try:
+      checked(self, *args[len(given) :], **given, **plain)
+    except pydantic.ValidationError as error:
+      raise ValueError(describe(error)) from None
+
+  made.__init__ = construct
+  result: type[_T] = made
+  return result
+
+
+def _plain(value: Any) -> Any:
+  """Returns numpy's numbers as Python's, lists and arrays as tuples."""
+  if isinstance(value, (np.generic, np.ndarray)):
+    value = value.tolist()
+  return tuple(value) if isinstance(value, list) else value
+
+
+def check_finite(config: Any, prefix: str = '') -> None:
+  """Raises ValueError if a number in a configuration is infinite.
+
+  Args:
+    config: whose infinite limits no file can hold.
+    prefix: of the names of the fields, for the error.
+  """
+  for field in dataclasses.fields(config):
+    value, name = getattr(config, field.name), f'{prefix}{field.name}'
+    if dataclasses.is_dataclass(value):
+      check_finite(value, f'{name}.')
+    elif isinstance(value, float) and math.isinf(value):
+      raise ValueError(f'{name}: must be finite here, got {value}')
 
 
 def one_of(names: Sequence[str]) -> pydantic.AfterValidator:
@@ -83,7 +156,7 @@ def describe(error: pydantic.ValidationError) -> str:
   for problem in error.errors(include_url=False):
     place = '.'.join(str(part) for part in problem['loc'])
     text = problem['msg'].removeprefix('Value error, ').rstrip('.')
-    if problem['type'] != 'value_error':
+    if problem['type'] not in ('missing', 'value_error'):
       text = f'{text}, got {problem["input"]!r:.50}'
     found.append(f'{place}: {text}' if place else text)
   return '; '.join(found)

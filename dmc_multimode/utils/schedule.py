@@ -5,7 +5,6 @@ import re
 from typing import Annotated, Any, Literal
 
 import pydantic
-from pydantic import dataclasses as pydantic_dataclasses
 
 from dmc_multimode.utils import config
 
@@ -15,7 +14,7 @@ _TEXT = re.compile(
 )
 
 
-@pydantic_dataclasses.dataclass(frozen=True, config=config.STRICT)
+@config.dataclass
 class Schedule:
   """A value as a function of environment steps, summed over all worlds.
 
@@ -96,14 +95,13 @@ def parse(text: str) -> Schedule:
     end = start if match['end'] is None else float(match['end'])
     if start % 1 or end % 1:
       raise ValueError
-    return Schedule(first, last, int(start), int(end))
+    between = int(start), int(end)
   except (OverflowError, ValueError) as error:
-    if isinstance(error, pydantic.ValidationError):
-      raise ValueError(config.describe(error)) from error
     raise ValueError(
       f'{text!r} is no schedule FIRST[:LAST][@START[:END]], such as 0.5, '
       '0:0.5@8e6 or 0.5:0.1@10e6:14e6'
     ) from error
+  return Schedule(first, last, *between)
 
 
 def _convert(value: Any) -> Any:

@@ -1,18 +1,26 @@
 """Videos of roll-outs: rendered, captioned and encoded."""
 
-import dataclasses
 import itertools
-import math
 import os
 import pathlib
-from typing import Any, Iterator, Mapping, NamedTuple, Sequence, TYPE_CHECKING
+from typing import (
+  Annotated,
+  Any,
+  Iterator,
+  Mapping,
+  NamedTuple,
+  Sequence,
+  TYPE_CHECKING,
+)
 
 import numpy as np
+import pydantic
 import tqdm
 
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.pretrained import folder
+from dmc_multimode.utils import config as config_lib
 from dmc_multimode.viewer import captions
 from dmc_multimode.viewer import gl
 from dmc_multimode.viewer import video
@@ -21,8 +29,10 @@ if TYPE_CHECKING:
   from dmc_multimode import pretrained
   from dmc_multimode.viewer import rollout as rollout_lib
 
+_SlowMotion = Annotated[float, pydantic.Field(ge=0.01, le=100)]
 
-@dataclasses.dataclass(frozen=True)
+
+@config_lib.dataclass
 class RecordingConfig:
   """Camera, size and speed of a video.
 
@@ -31,21 +41,17 @@ class RecordingConfig:
     width: pixels, even.
     height: pixels, even.
     ghost: whether the reference is drawn.
-    slow_motion: seconds of video per second of simulation.
+    slow_motion: seconds of video per second of simulation, 0.01 to 100.
   """
 
   camera: str = 'side'
   width: int = 640
   height: int = 480
   ghost: bool = True
-  slow_motion: float = 1.0
+  slow_motion: _SlowMotion = 1.0
 
   def __post_init__(self) -> None:
     video.check_size(self.width, self.height)
-    if not (math.isfinite(self.slow_motion) and 0 < self.slow_motion <= 100):
-      raise ValueError(
-        f'slow_motion must be within 0 and 100, got {self.slow_motion}.'
-      )
 
 
 class Outcome(NamedTuple):
@@ -270,6 +276,7 @@ def film_beside(
   size = config.height, config.width, 3
   shown = [np.zeros(size, dtype=np.uint8) for _ in shots]
   rate = 1 / (periods.pop() * config.slow_motion)
+  video.check_rate(rate)
   with bar, video.open_writer(out, rate) as append:
     for frames in bar:
       pairs = zip(frames, shown, strict=True)

@@ -6,6 +6,7 @@ from typing import Any, Iterator, Mapping, NamedTuple, Sequence
 
 from dm_control import composer
 import numpy as np
+import pydantic
 
 from dmc_multimode import pretrained
 from dmc_multimode.arenas import track
@@ -17,6 +18,8 @@ from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import terminations
+from dmc_multimode.utils import config as config_lib
+from dmc_multimode.utils import durations
 
 _SPEED_WINDOW = 0.3  # Seconds over which speed is averaged.
 
@@ -103,7 +106,8 @@ class Robot:
     self._environment.random_state.seed(self._seed)
     self._environment.reset()
     self.over = False
-    window = max(1, round(_SPEED_WINDOW / self.task.config.control_timestep))
+    period = self.task.config.control_timestep
+    window = max(1, int(durations.steps(_SPEED_WINDOW, period)))
     self._path = collections.deque([self.position], window + 1)
 
   def command(self, mode: int) -> None:
@@ -176,7 +180,7 @@ class Robot:
     )
 
 
-@dataclasses.dataclass(frozen=True)
+@config_lib.dataclass
 class RolloutConfig:
   """A schedule on a track, and the conditions of its roll-out.
 
@@ -195,14 +199,14 @@ class RolloutConfig:
   """
 
   modes: tuple[str, ...]
-  durations: tuple[float, ...]
+  durations: tuple[config_lib.Positive, ...]
   arena: str = 'flat'
   sizes: Mapping[str, float] = dataclasses.field(default_factory=dict)
-  clock_rate: float = 1.0
-  seed: int = 0
-  pushes: tuple[pushes_lib.Push, ...] = ()
+  clock_rate: config_lib.Positive = 1.0
+  seed: config_lib.Count = 0
+  pushes: tuple[pydantic.InstanceOf[pushes_lib.Push], ...] = ()
   imitation: bool = True
-  physics_timestep: float | None = None
+  physics_timestep: config_lib.Positive | None = None
   terminate: bool = False
 
 
@@ -219,11 +223,7 @@ class Rollout:
     self.schedule = schedule_lib.from_names(
       policy.mode_set, config.modes, config.durations, config.clock_rate
     )
-    if config.seed < 0:
-      raise ValueError(f'seed must not be negative, got {config.seed}.')
     task = _task_config(policy.config, config)
-    if not task.horizon:
-      raise ValueError('The schedule is shorter than one control step.')
     self._config = config
     self.task = multimode_biped.make_task(
       policy.mode_set,
@@ -249,8 +249,8 @@ class Rollout:
   @property
   def ends(self) -> np.ndarray:
     """When each command ends, as shares of the whole, rising to 1."""
-    durations = np.cumsum(self._config.durations)
-    return durations / durations[-1]
+    ends = np.cumsum(self._config.durations)
+    return ends / ends[-1]
 
   def start(self) -> Any:
     """Compiles the model and resets it; returns the physics."""
@@ -277,7 +277,7 @@ class Rollout:
     velocities = [
       push.velocity
       for push in self._config.pushes
-      if round(push.time / period) == step
+      if durations.steps(push.time, period) == step
     ]
     if velocities:
       self._robot.push(np.sum(velocities, axis=0))

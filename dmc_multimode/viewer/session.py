@@ -22,6 +22,7 @@ from dmc_multimode.suite.imitation import episodes
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.suite.reaching import problem as reaching
+from dmc_multimode.utils import durations
 from dmc_multimode.viewer import rollout
 
 CLOCK_RATES = (0.5, 1.5)  # The slowest and the fastest.
@@ -208,15 +209,18 @@ class LiveSession:
     """Sets the rate at which the modes run from now on.
 
     Raises:
-      ValueError: the rate is not within `CLOCK_RATES`.
+      ValueError: the rate is not within `CLOCK_RATES`, or so fast that a cycle
+        of a mode is shorter than a control step.
     """
     slowest, fastest = CLOCK_RATES
     if not slowest <= rate <= fastest:
       raise ValueError(
         f'The clock rate must be within {slowest} and {fastest}, got {rate}.'
       )
+    tracker = self.robot.task.core.tracker
+    tracker.check_rate(rate)
     self.clock_rate = rate
-    self.robot.task.core.tracker.state.clock_rate[:] = rate
+    tracker.state.clock_rate[:] = rate
 
   def plan(self) -> None:
     """Starts the search for a plan across this track, from its start.
@@ -301,7 +305,9 @@ class LiveSession:
     if self._replayed is None:
       return
     task = self.robot.task
-    knot_steps = round(self._replayed.knot_duration / task.control_timestep)
+    knot_steps = durations.whole_steps(
+      self._replayed.knot_duration, task.control_timestep, 'A knot'
+    )
     knot, rest = divmod(int(task.core.tracker.state.step[0]), knot_steps)
     if knot == len(self._replayed.modes):
       self._replayed, self.notice = None, 'The plan is done.'

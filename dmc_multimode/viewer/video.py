@@ -13,6 +13,7 @@ from dmc_multimode.utils import files
 
 SUFFIX, GIF_SUFFIX = '.mp4', '.gif'
 MAX_SIDE = 4096  # Pixels; the limit of most players.
+FRAME_RATES = (0.01, 10_000.0)  # Frames a second.
 # Visually lossless, and five times faster than libx264's defaults.
 _CODEC, _OPTIONS = 'libx264', {'crf': '18', 'preset': 'veryfast'}
 # Playback can start before the download ends.
@@ -47,6 +48,16 @@ def check_size(width: int, height: int) -> None:
       raise ValueError(
         f'{name} must be even and within 2 and {MAX_SIDE}, got {value}.'
       )
+
+
+def check_rate(frame_rate: float) -> None:
+  """Raises ValueError unless videos can have this many frames a second."""
+  slowest, fastest = FRAME_RATES
+  if not slowest <= frame_rate <= fastest:
+    raise ValueError(
+      f'a video has {slowest:g} to {fastest:g} frames a second, got '
+      f'{frame_rate:g}: choose another slow motion'
+    )
 
 
 @contextlib.contextmanager

@@ -116,7 +116,9 @@ def test_every_field(write: Write) -> None:
 
 
 def test_optional_fields_have_defaults(write: Write) -> None:
-  frames = '[{phase: 0, position: [0, 0, 1]}, {phase: 1, position: [0, 0, 1]}]'
+  frames = (
+    '[{phase: 0, position: [0, 0, .6]}, {phase: 1, position: [0, 0, .6]}]'
+  )
   (motion,) = mode_files.load(
     write(f'{{name: a, kind: steady, duration: 1, keyframes: {frames}}}')
   )
@@ -163,6 +165,9 @@ def test_dict_round_trip_is_exact(seed: int) -> None:
     ('edge: 0.3, ', '', 7, "'edge' is missing"),
     ('{edge: 0.3, height: -0.1}', '3', 7, 'edge, height'),
     ('phase: 0\n', 'phase: 0.1\n', 9, 'first phase'),
+    # Every command would be lost at once.
+    ('[0, 0, 0.5]', '[0.36, 0, 0.5]', 9, r'0.36 m from .* at most 0.35 m'),
+    ('[1, 0]', '[1, 0]\n    euler: [0, 0, 60]', 9, '1.05 rad .* at most 1 rad'),
     ('[0, 0, 0.5]', '[0, 0]', 10, 'position .* 3 items'),
     ('[0, 0, 0.5]', '\n    - 0\n    - x\n    - 1', 12, 'number'),
     ('    contacts: [1, 0]\n', '', 9, 'missing here'),

@@ -73,7 +73,10 @@ def test_slerp_takes_the_short_way() -> None:
 
 
 def test_orientations_are_normalised_once() -> None:
-  motion = _motion(orientations=[[2, 0, 0, 0], [0, 3, 0, 0], [1, 2, 3, 4]])
+  motion = _motion(
+    kind=motion_lib.TRANSIENT,
+    orientations=[[2, 0, 0, 0], [0, 3, 0, 0], [1, 2, 3, 4]],
+  )
   norms = np.linalg.norm(motion.orientations, axis=-1)
   np.testing.assert_allclose(norms, 1.0, atol=1e-15)
   again = dataclasses.replace(motion)
@@ -98,6 +101,19 @@ def test_orientations_are_normalised_once() -> None:
     ({'contacts': np.full((3, 2), 0.5)}, 'contacts'),
     ({'takeoff': 1.5}, 'takeoff'),
     ({'kind': motion_lib.STEADY}, 'steady'),
+    # Cycles that do not close: the reference would jump back.
+    (
+      {'kind': motion_lib.STEADY, 'positions': np.full((3, 3), 0.5)},
+      'steady .* 1.57 rad from it',
+    ),
+    (
+      {'positions': [[0, 0, 0.5], [0.4, 0, 0.7], [1.0, 0.3, 0.6]]},
+      r'ends \+0.1 m from it',
+    ),
+    (
+      {'orientations': [[1, 0, 0, 0], [1, 0, 0, 0], [0.8, 0.36, 0, 0.48]]},
+      'but for yaw',
+    ),
   ],
 )
 def test_rejects(changes: dict[str, Any], message: str) -> None:
@@ -172,6 +188,7 @@ def test_free_flight_lands_where_the_reference_does(phase: float) -> None:
 
 def test_the_ground_accelerates_up_to_the_take_off() -> None:
   motion = _motion(
+    kind=motion_lib.TRANSIENT,
     positions=[[0, 0, 0.5], [0, 0, 0.6], [0, 0, 0.8]],
     orientations=[[1, 0, 0, 0]] * 3,
     contacts=[[1, 1], [0, 0], [1, 1]],

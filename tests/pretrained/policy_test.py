@@ -1,5 +1,6 @@
 """Tests of dmc_multimode.pretrained.policy."""
 
+import dataclasses
 import json
 import pathlib
 from typing import Any, Callable
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from safetensors import torch as safetensors_torch
 import torch
+from torch import nn
 
 from dmc_multimode import pretrained
 from dmc_multimode.agents import checkpointing
@@ -144,6 +146,70 @@ def test_activation(folder: pathlib.Path, activation: str) -> None:
   _edit(folder, activation='tanh')
   found = pretrained.load(folder).select_action(seen)
   assert not np.allclose(found, expected)
+
+
+class _Own(nn.Module):
+  """Something of somebody's own."""
+
+  def __init__(self, size: int, actions: int):
+    super().__init__()
+    self.gain = nn.Parameter(torch.linspace(0.0, 1.0, actions))
+    self.size = size
+
+  def forward(self, seen: torch.Tensor) -> torch.Tensor:
+    return self.gain * seen[..., : len(self.gain)]
+
+
+class _OwnCritic(networks.ActorCritic):
+  def act(self, observation: torch.Tensor) -> torch.Tensor:
+    return 2 * super().act(observation)
+
+
+def _make(size: int, actions: int, privileged: int) -> networks.ActorCritic:
+  assert (size, actions, privileged) == (_SIZE, observations.NUM_JOINTS, 0)
+  return networks.ActorCritic(
+    size, actions, (16, 8), policy=_Own(size, actions)
+  )
+
+
+@pytest.mark.parametrize(
+  ('own', 'make'),
+  [
+    ({'policy': '_Own'}, _make),
+    ({'network': '_OwnCritic'}, lambda *n: _OwnCritic(*n[:2], (16, 8))),
+  ],
+)
+def test_modules_of_ones_own(folder: pathlib.Path, own: Any, make: Any) -> None:
+  """They act and are saved, and loaded by what makes them."""
+  policy = _policy()
+  if 'policy' in own:
+    policy.network.policy = _Own(_SIZE, 10)  # As users do.
+  else:
+    network = _OwnCritic(_SIZE, 10, (16, 8))
+    policy = dataclasses.replace(policy, network=network)
+  policy = dataclasses.replace(policy)
+  seen = np.random.RandomState(0).randn(5, _SIZE)
+  expected = policy.select_action(seen)
+  policy.save(folder)
+  assert f'{own}' in _refused(folder)
+  loaded = pretrained.load(folder, network=make)
+  assert not loaded.network.training
+  np.testing.assert_array_equal(loaded.select_action(seen), expected)
+  with pytest.raises(ValueError, match='of another network'):
+    pretrained.load(
+      folder, network=lambda *n: networks.ActorCritic(*n[:2], (8,))
+    )
+  with pytest.raises(ValueError, match='return an ActorCritic'):
+    pretrained.load(folder, network=lambda *n: nn.Identity())  # type: ignore
+  with pytest.raises(ValueError, match='policy must be a torch module'):
+    policy.network.policy = nn.Linear(_SIZE, 9)
+    dataclasses.replace(policy)
+
+
+def test_infinite_limits_are_in_no_file(folder: pathlib.Path) -> None:
+  task = task_config.ImitationConfig(time_limit=np.inf)
+  with pytest.raises(ValueError, match='task.time_limit: must be finite'):
+    dataclasses.replace(_policy(), config=task).save(folder)
 
 
 def test_description_of_an_earlier_version(folder: pathlib.Path) -> None:

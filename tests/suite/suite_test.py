@@ -6,6 +6,7 @@ from unittest import mock
 
 from absl.testing import absltest
 from dm_control import suite as dm_suite
+from dm_control.suite.wrappers import action_noise
 import dm_env
 from dm_env import specs
 from dm_env import test_utils
@@ -121,11 +122,28 @@ def test_only_pi3_is_paid_for_contacts() -> None:
   assert weights == ({'idle': 0.0, 'pi1': 0.0, 'pi2': 0.0, 'pi3': 0.3})
 
 
-@pytest.mark.parametrize('seconds', (0.0, np.inf, np.nan))
+@pytest.mark.parametrize('seconds', (0.0, 0.014, np.inf, np.nan))
 @pytest.mark.parametrize('task', ('idle', 'reach_gap'))
 def test_rejects_time_limit(task: str, seconds: float) -> None:
-  with pytest.raises(ValueError, match='time_limit'):
-    suite.load(_DOMAIN, task, {'time_limit': seconds})
+  if task == 'idle' and seconds == np.inf:
+    return  # Unbounded episodes.
+  for kwargs in (
+    {'task_kwargs': {'time_limit': seconds}},
+    {'environment_kwargs': {'time_limit': seconds}},
+  ):
+    with pytest.raises(ValueError, match='time_limit') as error:
+      suite.load(_DOMAIN, task, **kwargs)
+    assert '\n' not in str(error.value)
+
+
+def test_dm_controls_action_noise() -> None:
+  """It draws from the task's `random`, before the first reset, too."""
+  rewards = []
+  for scale in (0.1, 0.1, 0.0):
+    env = action_noise.Wrapper(_load('idle'), scale=scale)
+    env.step(np.zeros(10))
+    rewards.append(env.step(np.zeros(10)).reward)
+  assert rewards[0] == rewards[1] != rewards[2]
 
 
 @pytest.mark.parametrize('task', ('idle', 'reach_gap'))

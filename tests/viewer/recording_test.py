@@ -78,11 +78,32 @@ def test_two_policies_side_by_side(tmp_path: pathlib.Path) -> None:
     ({'schedule': 'idle:1', 'plan': 'plan.json'}, 'a schedule or a plan'),
     ({'schedule': 'idle:1', 'out': 'video.avi'}, 'must end in .mp4'),
     ({'schedule': 'idle'}, 'idle'),
+    ({'schedule': 'idle:inf'}, 'idle:inf'),
   ],
 )
 def test_record_rejects(arguments: dict[str, Any], message: str) -> None:
   with pytest.raises(ValueError, match=message):
     viewer.record('nobody', **arguments)
+
+
+@pytest.mark.parametrize('slow', [1e-9, 0.0, 101.0, float('nan')])
+def test_slow_motion_refused(slow: float) -> None:
+  with pytest.raises(ValueError, match='^slow_motion: '):
+    viewer.RecordingConfig(slow_motion=slow)
+
+
+@pytest.mark.parametrize(
+  ('changes', 'message'),
+  [
+    ({'clock_rate': 21.0}, 'walk_forward: its cycle .* at most 20'),
+    ({'durations': (0.01,)}, 'time_limit .* no room'),
+  ],
+)
+def test_rollout_refused(changes: dict[str, Any], message: str) -> None:
+  policy = pretrained.load('quickstart')
+  fields = {'modes': ('walk_forward',), 'durations': (1.0,), **changes}
+  with pytest.raises(ValueError, match=message):
+    rollout.Rollout(policy, rollout.RolloutConfig(**fields)).start()
 
 
 def test_pushes_as_in_the_plan() -> None:

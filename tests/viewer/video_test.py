@@ -23,6 +23,12 @@ def _write(path: pathlib.Path, rate: float, count: int) -> None:
       append(_frame(2 * i))
 
 
+@pytest.mark.parametrize('rate', [0.009, 10_001.0, np.inf, np.nan])
+def test_rates_refused(rate: float) -> None:
+  with pytest.raises(ValueError, match='0.01 to 10000 frames a second'):
+    video.check_rate(rate)
+
+
 @pytest.mark.parametrize('rate', [1 / 0.03, 0.25 / 0.03])
 def test_mp4(tmp_path: pathlib.Path, rate: float) -> None:
   path = tmp_path / 'new' / 'video.mp4'

@@ -9,6 +9,7 @@ import torch
 from dmc_multimode.agents import pair
 from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.agents.ppo import networks
+from dmc_multimode.utils import arrays
 
 
 class BatchedActor:
@@ -61,8 +62,13 @@ class BatchedActor:
 
   @torch.no_grad()
   def select_action(self, observation: np.ndarray) -> np.ndarray:
-    """Returns the mean actions for observations float32 [B, D], [B, A]."""
-    return self._act(torch.from_numpy(observation)).numpy()
+    """Returns the mean actions for observations [B, D], float32 [B, A].
+
+    Raises:
+      ValueError: they are no numbers, or have another shape.
+    """
+    rows = arrays.rows(observation, 'observations')
+    return self._act(torch.from_numpy(rows)).numpy()
 
   def _act(self, observation: torch.Tensor) -> torch.Tensor:
     """Returns mean actions of the network, on any device, on the CPU."""
@@ -95,9 +101,13 @@ class FeedForwardActor:
 
   @torch.no_grad()
   def select_action(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Returns the mean action, float64 [A]."""
+    """Returns the mean action, float64 [A].
+
+    Raises:
+      ValueError: the parts are no numbers, or have another length together.
+    """
     flat = np.concatenate([np.ravel(part) for part in observation.values()])
-    batch = torch.from_numpy(flat.astype(np.float32))[None]
+    batch = torch.from_numpy(arrays.rows(flat, 'observation'))[None]
     return self._network.act(batch)[0].double().numpy()
 
   def observe_first(self, timestep: dm_env.TimeStep) -> None:

@@ -3,7 +3,6 @@
 from typing import Annotated, Any, Mapping
 
 import pydantic
-from pydantic import dataclasses as pydantic_dataclasses
 
 from dmc_multimode.utils import config
 from dmc_multimode.utils import schedule
@@ -15,7 +14,7 @@ _BelowOne = Annotated[float, pydantic.Field(ge=0, lt=1)]
 _Sizes = Annotated[tuple[config.PositiveInt, ...], pydantic.Field(min_length=1)]
 
 
-@pydantic_dataclasses.dataclass(frozen=True, config=config.STRICT)
+@config.dataclass
 class PPOConfig:
   """Configuration of the PPO learner.
 

@@ -1,7 +1,7 @@
 """Gaussian policy, value function and observation normaliser."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -118,6 +118,9 @@ class ActorCritic(nn.Module):
       policy: module from normalised observations [N, D] to mean actions [N, A];
         an initialised multi-layer perceptron if None.
       value: likewise, from [N, D + P] to [N, 1]; shares no weights.
+
+    Raises:
+      ValueError: `policy` or `value` is no such module.
     """
     super().__init__()
     self.observation_size = observation_size
@@ -128,8 +131,8 @@ class ActorCritic(nn.Module):
       mlp((observation_size, *hidden_sizes, action_size), activation),
       mlp((observation_size + privileged_size, *hidden_sizes, 1), activation),
     )
-    self.policy = policy or mlps[0]
-    self.value = value or mlps[1]
+    self.policy = mlps[0] if policy is None else policy
+    self.value = mlps[1] if value is None else value
     self.log_std = nn.Parameter(
       torch.full((action_size,), float(np.log(initial_std)))
     )
@@ -138,6 +141,59 @@ class ActorCritic(nn.Module):
     if initial_action is not None:
       output = linears_of(mlps[0])[-1]
       output.bias.data.copy_(torch.as_tensor(initial_action))
+    if policy is not None or value is not None:
+      self.check()
+
+  @torch.no_grad()
+  def check(self) -> None:
+    """Tries policy and value on two observations.
+
+    Raises:
+      ValueError: in one line, one of them is no module, fails, or returns
+        another shape.
+    """
+    size, more = self.observation_size, self.privileged_size
+    training = {module: module.training for module in self.modules()}
+    self.eval()
+    for name, length, expected in (
+      ('policy', size, len(self.log_std)),
+      ('value', size + more, 1),
+    ):
+      part = getattr(self, name, None)
+      seen = torch.zeros(2, length, device=self.log_std.device)
+      try:
+        found = f'returns {tuple(part(seen).shape)}'
+      except Exception as error:  # Of a module that is not ours.
+        found = f'fails: {" ".join(str(error).split())}'
+      if found != f'returns {(2, expected)}' or not isinstance(part, nn.Module):
+        raise ValueError(
+          f'{name} must be a torch module that maps [N, {length}] to '
+          f'[N, {expected}]; {type(part).__name__} for N = 2 {found}'
+        )
+    for module, was in training.items():
+      module.training = was
+
+  def own_modules(self, hidden_sizes: tuple[int, ...]) -> dict[str, str]:
+    """Returns the classes of parts that are no perceptrons, by their names.
+
+    Args:
+      hidden_sizes: of the perceptrons.
+    """
+    if type(self) is not ActorCritic:
+      return {'network': type(self).__name__}
+    with torch.device('meta'):  # Allocates no memory.
+      plain = ActorCritic(
+        self.observation_size,
+        len(self.log_std),
+        hidden_sizes,
+        privileged_size=self.privileged_size,
+        activation=self.activation,
+      )
+    return {
+      name: type(getattr(self, name)).__name__
+      for name in ('policy', 'value')
+      if _layers(getattr(self, name)) != _layers(getattr(plain, name))
+    }
 
   @property
   def std(self) -> torch.Tensor:
@@ -153,7 +209,17 @@ class ActorCritic(nn.Module):
     """Returns the mean actions for raw observations [..., D], [..., A].
 
     Privileged observations may follow and are ignored.
+
+    Raises:
+      ValueError: observations have another length.
     """
+    size, length = self.observation_size, observation.shape[-1]
+    if length not in (size, size + self.privileged_size):
+      more = f', or {size + self.privileged_size} with the privileged ones'
+      raise ValueError(
+        f'an observation has {size} numbers'
+        f'{more if self.privileged_size else ""}, got {length}'
+      )
     seen = observation[..., : self.observation_size]
     return self.policy(self.normaliser(seen))
 
@@ -164,6 +230,14 @@ class ActorCritic(nn.Module):
   def values(self, seen: torch.Tensor) -> torch.Tensor:
     """Returns the values of normalised [..., D + P], [...]."""
     return self.value(seen).squeeze(-1)
+
+
+def _layers(network: nn.Module) -> list[tuple[Any, ...]]:
+  """Returns class and sizes of every module in a network."""
+  return [
+    (type(module), *(tuple(p.shape) for p in module.parameters(recurse=False)))
+    for module in network.modules()
+  ]
 
 
 class Sample(NamedTuple):

@@ -9,7 +9,6 @@ from typing import Annotated, Sequence
 
 import numpy as np
 import pydantic
-from pydantic import dataclasses as pydantic_dataclasses
 import safetensors
 import safetensors.torch
 import torch
@@ -30,7 +29,7 @@ _ADVICE = 'train one with `python -m dmc_multimode.bin.train_encoder`.'
 _Units = Annotated[int, pydantic.Field(ge=1, le=1024)]
 
 
-@pydantic_dataclasses.dataclass(frozen=True, config=config_lib.STRICT)
+@config_lib.dataclass
 class EncoderConfig:
   """Sizes, tolerances and seed of a mode encoder and its training.
 

@@ -21,6 +21,7 @@ from dmc_multimode.suite.imitation import mujoco_worlds
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.suite.imitation import symmetry as task_symmetry
 from dmc_multimode.suite.imitation import terminations
+from dmc_multimode.utils import arrays
 from dmc_multimode.walkers import mini_biped
 
 
@@ -171,7 +172,17 @@ class BatchedImitation:
     return self.copy_state(np.zeros(self.num_worlds, dtype=np.int64))
 
   def step(self, actions: np.ndarray) -> BatchedTimeStep:
-    """Applies actions, [B, 10], for one control step."""
+    """Applies actions for one control step.
+
+    Args:
+      actions: joint targets in radians, clipped to their bounds, [B, 10]. Those
+        of worlds that are not stepped, or have diverged, do not matter.
+
+    Raises:
+      ValueError: they are no numbers, have another shape, or are not finite;
+        the worlds are as before.
+    """
+    actions = self._checked(actions)
     diverged = self.physics.step(
       actions, self._bounds, self.moving, self.config.substeps
     )
@@ -191,6 +202,16 @@ class BatchedImitation:
     observation = self._observe()
     return self._conclude(outcome, observation)
 
+  def _checked(self, actions: np.ndarray) -> np.ndarray:
+    """Returns actions that the engine can take; see `step`."""
+    shape = (self.num_worlds, *self._action_spec.shape)
+    actions = arrays.numbers(actions, 'actions', shape)
+    valid = arrays.finite_rows(actions)
+    if not valid.all():
+      acts = self.moving & arrays.finite_rows(self.physics.state)
+      arrays.check_worlds(valid | ~acts, 'actions')
+    return actions
+
   def command(self, modes: np.ndarray) -> np.ndarray:
     """Commands modes now, whatever the schedules say; returns observations.
 
@@ -199,7 +220,12 @@ class BatchedImitation:
 
     Args:
       modes: mode indices, one a world, [B].
+
+    Raises:
+      ValueError: they are no indices of modes, or have another shape.
     """
+    count, mode_count = self.num_worlds, len(self.mode_set)
+    modes = arrays.indices(modes, 'modes', (count,), mode_count)
     changed = np.flatnonzero(modes != self.core.tracker.state.mode)
     self._move_boxes(
       self.core.command(changed, modes[changed], self.qpos, self._random_state)
@@ -220,9 +246,13 @@ class BatchedImitation:
       The observations.
 
     Raises:
-      ValueError: the other's physics has a state of another size.
+      ValueError: the sources are no indices of worlds, or the other's physics
+        has a state of another size.
     """
     other = other or self
+    sources = arrays.indices(
+      sources, 'sources', (self.num_worlds,), other.num_worlds
+    )
     theirs, mine = (each.physics.state.shape[1] for each in (other, self))
     if theirs != mine:
       raise ValueError(
@@ -325,13 +355,13 @@ class BatchedImitation:
     self, ids: np.ndarray, causes: np.ndarray
   ) -> episodes_lib.EpisodeBatch:
     """Returns the finished episodes of the worlds `ids`; `learn`s from them."""
-    highest = self.config.gains.highest * self.config.horizon
+    lengths = self.core.tracker.state.step[ids].copy()
     batch = episodes_lib.EpisodeBatch(
       ids,
       self._initial[ids],
       self._final[ids],
-      self._returns[ids] / highest,
-      self.core.tracker.state.step[ids].copy(),
+      self.config.normalised(self._returns[ids], lengths),
+      lengths,
       causes[ids],
     )
     if self._replicas == 1:

@@ -69,6 +69,8 @@ class ModeTracker:
     self.bank = mode_set.bank
     self._latents = mode_set.latents.astype(np.float64)
     self._timestep = control_timestep
+    cycles = self.bank.durations[~self.bank.transient]
+    self._fastest = cycles.min(initial=np.inf) / control_timestep
     num, knots = num_worlds, max_knots
     zeros = lambda *shape: np.zeros(shape, dtype=np.int64)
     self.state = Tracked(
@@ -109,6 +111,7 @@ class ModeTracker:
         f'The schedule holds {used} commands, room is for '
         f'{state.schedule_modes.shape[1]}: raise max_knots.'
       )
+    self.check_rate(float(np.max(schedule.clock_rate, initial=1.0)))
     state.schedule_modes[ids, :used] = schedule.modes
     state.schedule_steps[ids] = _NEVER
     state.schedule_steps[ids, :used] = schedule.start_steps(self._timestep)
@@ -121,6 +124,15 @@ class ModeTracker:
     state.anchor[ids, 2] = support
     state.heading[ids] = 0.0
     self._forget_ledge(ids)
+
+  def check_rate(self, rate: float) -> None:
+    """Raises ValueError if cycles are shorter than a control step at a rate.
+
+    Args:
+      rate: of the phase clock, 1 being the references' own.
+    """
+    for motion in self.bank.motions if rate > self._fastest else ():
+      motion_lib.check_cycle(motion, self._timestep, rate)
 
   def _forget_ledge(self, ids: np.ndarray) -> None:
     self.state.edge[ids], self.state.rise[ids] = np.inf, 0.0

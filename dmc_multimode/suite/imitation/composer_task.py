@@ -15,6 +15,7 @@ from dmc_multimode.suite.imitation import core as imitation_core
 from dmc_multimode.suite.imitation import episodes as episodes_lib
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.suite.imitation import terminations
+from dmc_multimode.utils import arrays
 from dmc_multimode.walkers import mini_biped
 
 _WORLD = np.array([0])
@@ -62,6 +63,7 @@ class Imitation(composer.Task):
     self._unseen: Any = None
     self._outcome: imitation_core.Outcome | None = None
     self._return = 0.0
+    self._random_state = np.random.RandomState()  # Until there is one.
     self._episode: episodes_lib.Episodes | None = None
     self._add_observables()
 
@@ -160,6 +162,11 @@ class Imitation(composer.Task):
     return self.mode_set.names[int(self.core.tracker.state.mode[0])]
 
   @property
+  def random(self) -> np.random.RandomState:
+    """The environment's source of randomness, as dm_control's tasks have it."""
+    return self._random_state
+
+  @property
   def outcome(self) -> imitation_core.Outcome | None:
     """Outcome of the last step, or None right after a reset."""
     return self._outcome
@@ -169,10 +176,18 @@ class Imitation(composer.Task):
     del physics
     return self._walker.action_spec
 
+  def after_compile(
+    self, physics: Any, random_state: np.random.RandomState
+  ) -> None:
+    """Notes the source of randomness of a new environment."""
+    del physics
+    self._random_state = random_state
+
   def initialize_episode(
     self, physics: Any, random_state: np.random.RandomState
   ) -> None:
     """Draws terrain, schedule and initial state."""
+    self._random_state = random_state
     self._finish_episode()
     terrain = self._arena.generate(random_state)
     episode = self.episodes.sample(_WORLD, 0, random_state)
@@ -187,14 +202,14 @@ class Imitation(composer.Task):
     """Updates Algorithm 1 with the finished episode, if there is one."""
     if self._episode is None or self._outcome is None:
       return
-    highest = self.config.gains.highest * self.config.horizon
+    lengths = self.core.tracker.state.step.copy()
     self.episodes.update(
       episodes_lib.EpisodeBatch(
         _WORLD,
         self._episode.initial,
         self._episode.final,
-        np.array([self._return / highest]),
-        self.core.tracker.state.step.copy(),
+        self.config.normalised(np.array([self._return]), lengths),
+        lengths,
         self._outcome.cause,
       )
     )
@@ -206,7 +221,20 @@ class Imitation(composer.Task):
   def before_step(
     self, physics: Any, action: np.ndarray, random_state: np.random.RandomState
   ) -> None:
-    """Hands the joint targets to the servos."""
+    """Hands the joint targets to the servos.
+
+    Args:
+      physics: of the running episode.
+      action: joint targets in radians, [10].
+      random_state: unused.
+
+    Raises:
+      ValueError: they are no numbers, have another shape, or are not finite;
+        the state is as before.
+    """
+    action = arrays.numbers(action, 'action', (len(mini_biped.JOINTS),))
+    if not np.isfinite(action).all():
+      raise ValueError(f'action must be finite, got {action.tolist()}')
     if self._outcome is None:
       # dm_control resets with actuation disabled, which leaves the actuators'
       # velocities at 0: the first physics step would miss the servos' damping.
@@ -250,10 +278,13 @@ class Imitation(composer.Task):
       physics: of the running episode.
       mode: index into `mode_set`.
       random_state: source of the places of ledges.
+
+    Raises:
+      ValueError: it is no index of a mode.
     """
-    if mode != self.core.tracker.state.mode[0]:
+    modes = arrays.indices([mode], 'mode', (1,), len(self.mode_set))
+    if modes != self.core.tracker.state.mode:
       qpos, _ = _state(physics)
-      modes = np.array([mode])
       self._rebuild(
         physics, self.core.command(_WORLD, modes, qpos, random_state)
       )

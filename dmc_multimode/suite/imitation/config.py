@@ -1,18 +1,19 @@
 """Configuration of the imitation task, one dataclass for both engines."""
 
+import functools
 import math
-from typing import Any, Mapping
+from typing import Any, Iterable, Mapping
 
-from pydantic import dataclasses as pydantic_dataclasses
-
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.suite.imitation import events as events_lib
 from dmc_multimode.suite.imitation import rewards
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import constants
+from dmc_multimode.utils import durations
 
 
-@pydantic_dataclasses.dataclass(frozen=True, config=config_lib.STRICT)
+@config_lib.dataclass
 class ImitationConfig:
   """Configuration of the imitation task, of both its engines.
 
@@ -22,7 +23,8 @@ class ImitationConfig:
     events: training events; `events.NONE` for an evaluation. The default has
       those of a training: half of the episodes start mid-stride, and edges are
       noisy.
-    time_limit: length of an episode, seconds.
+    time_limit: length of an episode, seconds, in the nearest whole number of
+      control steps; infinite for episodes that only a termination ends.
     control_timestep: period of the policy, seconds.
     physics_timestep: period of the physics, seconds; divides the former.
     servo_inertia: gives the joints the inertia that makes long physics steps
@@ -38,7 +40,7 @@ class ImitationConfig:
   gains: rewards.RewardGains = rewards.RewardGains()
   limits: terminations.TerminationLimits = terminations.TerminationLimits()
   events: events_lib.TrainingEvents = events_lib.TrainingEvents()
-  time_limit: config_lib.Positive = 4.5
+  time_limit: config_lib.Duration = 4.5
   control_timestep: config_lib.Positive = constants.CONTROL_TIMESTEP
   physics_timestep: config_lib.Positive = 0.005
   servo_inertia: bool = True
@@ -55,16 +57,46 @@ class ImitationConfig:
         f'physics_timestep {self.physics_timestep} must divide '
         f'control_timestep {self.control_timestep}'
       )
+    if not self.horizon:
+      raise ValueError(
+        f'time_limit {self.time_limit:g} has no room for a control step, '
+        f'{self.control_timestep:g} s'
+      )
 
   @property
   def substeps(self) -> int:
     """Physics steps in a control step."""
     return round(self.control_timestep / self.physics_timestep)
 
-  @property
+  @functools.cached_property
   def horizon(self) -> int:
-    """Control steps in an episode."""
-    return round(self.time_limit / self.control_timestep)
+    """Control steps in an episode, or `durations.UNBOUNDED`."""
+    return int(durations.steps(self.time_limit, self.control_timestep))
+
+  def normalised(self, returns: Any, lengths: Any) -> Any:
+    """Returns sums of rewards over the most that there is, in [0, 1].
+
+    The most is horizon times the sum of the weights of Eq. 3; of an episode
+    without a time limit, its own length takes the horizon's place.
+
+    Args:
+      returns: sums of the rewards of N episodes, [N].
+      lengths: their control steps, [N].
+    """
+    most = self.horizon if self.horizon < durations.UNBOUNDED else lengths
+    return returns / (self.gains.highest * most)
+
+  def check_modes(self, motions: Iterable[motion_lib.ReferenceMotion]) -> None:
+    """Raises ValueError for a mode that no robot can follow in this task.
+
+    Args:
+      motions: of the modes.
+    """
+    slack = self.events.distance_slack
+    distance = self.limits.distance + max(slack.first, slack.last)
+    for motion in motions:
+      motion_lib.check_cycle(motion, self.control_timestep)
+      motion_lib.check_start(motion, distance, self.limits.angle)
 
 
 def to_dict(config: ImitationConfig) -> dict[str, Any]:

@@ -25,6 +25,7 @@ from dmc_multimode.suite.imitation import resets
 from dmc_multimode.suite.imitation import rewards
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.suite.imitation import terrain_events
+from dmc_multimode.utils import arrays
 
 _ANYWHERE = np.eye(7 + observations.NUM_JOINTS)[3]  # Qpos: unturned.
 
@@ -78,6 +79,7 @@ class ImitationCore:
       adaptive_terrain: puts ledges where commanded modes need them.
       max_knots: the most commands that a schedule may hold.
     """
+    config.check_modes(mode_set.motions)
     self.config = config
     self.distance_slack = 0.0
     self.tracker = commands.ModeTracker(
@@ -145,7 +147,7 @@ class ImitationCore:
     config = self.config
     self.contact[:] = contact
     self.tracker.advance()
-    finite = observations.finite_rows(qpos) & observations.finite_rows(qvel)
+    finite = arrays.finite_rows(qpos) & arrays.finite_rows(qvel)
     # A world that diverged has no position; any finite one keeps the others
     # going.
     safe = qpos if finite.all() else np.where(finite[:, None], qpos, _ANYWHERE)

@@ -15,7 +15,6 @@ import dataclasses
 from typing import Any, Mapping
 
 import numpy as np
-from pydantic import dataclasses as pydantic_dataclasses
 
 from dmc_multimode.utils import config
 from dmc_multimode.utils import schedule
@@ -26,7 +25,7 @@ _CLEARANCE = 0.05  # Metres: clearance at which a swinging foot agrees fully.
 _ZERO = schedule.constant(0.0)
 
 
-@pydantic_dataclasses.dataclass(frozen=True, config=config.STRICT)
+@config.dataclass
 class TrainingEvents:
   """Events of trainings; evaluations have none.
 

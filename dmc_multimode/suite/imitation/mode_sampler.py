@@ -18,7 +18,6 @@ from typing import Annotated, Any, Mapping
 
 import numpy as np
 import pydantic
-from pydantic import dataclasses as pydantic_dataclasses
 
 from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import schedule
@@ -26,7 +25,7 @@ from dmc_multimode.utils import schedule
 _Memory = Annotated[float, pydantic.Field(ge=0, lt=1)]
 
 
-@pydantic_dataclasses.dataclass(frozen=True, config=config_lib.STRICT)
+@config_lib.dataclass
 class SamplingConfig:
   """Parameters of Algorithm 1, and of the preferences that override it.
 

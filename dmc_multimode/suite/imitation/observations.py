@@ -17,6 +17,8 @@ from typing import Any, Callable, Mapping, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 
+from dmc_multimode.utils import arrays
+
 if TYPE_CHECKING:
   from scipy.spatial import transform
 
@@ -264,16 +266,6 @@ def heading_frame(quaternion: np.ndarray, heading: np.ndarray) -> np.ndarray:
   return np.ascontiguousarray(turned.T)
 
 
-def finite_rows(values: np.ndarray) -> np.ndarray:
-  """Returns whether all numbers of each row [B, N] are finite, [B]."""
-  # Usually all are finite, and then one sum is enough to know it.
-  with np.errstate(over='ignore', invalid='ignore'):
-    total = values.sum()
-  if np.isfinite(total):
-    return np.ones(len(values), dtype=bool)
-  return np.isfinite(values).all(axis=1)
-
-
 def policy_view(
   qpos: np.ndarray,
   qvel: np.ndarray,
@@ -287,7 +279,7 @@ def policy_view(
 
   # A world that diverged has no orientation; identity keeps the others going.
   quaternion = np.where(
-    finite_rows(qpos[:, 3:7])[:, None], qpos[:, 3:7], _IDENTITY
+    arrays.finite_rows(qpos[:, 3:7])[:, None], qpos[:, 3:7], _IDENTITY
   )
   trunk = transform.Rotation.from_quat(quaternion, scalar_first=True)
   return PolicyView(

@@ -10,7 +10,6 @@ import dataclasses
 from typing import Any, Callable, Mapping, NamedTuple
 
 import numpy as np
-from pydantic import dataclasses as pydantic_dataclasses
 
 from dmc_multimode.modes import reference as reference_lib
 from dmc_multimode.utils import config
@@ -74,7 +73,7 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
   return np.einsum('bi,bi->b', a, b)
 
 
-@pydantic_dataclasses.dataclass(frozen=True, config=config.STRICT)
+@config.dataclass
 class Gain:
   """The gains of one term of Eq. 3.
 
@@ -94,7 +93,7 @@ def _term(error: Error, weight: float, sensitivity: float) -> Any:
   )
 
 
-@pydantic_dataclasses.dataclass(frozen=True, config=config.STRICT)
+@config.dataclass
 class RewardGains:
   """Gains of Eq. 3, one row a term: error er, weight w, sensitivity k."""
 

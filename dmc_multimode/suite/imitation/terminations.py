@@ -9,8 +9,9 @@ its episodes, and in a mode that turns on the spot the bound on orientation.
 import dataclasses
 
 import numpy as np
-import pydantic
-from pydantic import dataclasses as pydantic_dataclasses
+
+from dmc_multimode.utils import config
+from dmc_multimode.utils import constants
 
 # Files hold the indices.
 CAUSES = (
@@ -24,11 +25,9 @@ CAUSES = (
 POSITION_ERROR, LOW_REWARD, BASE_HEIGHT, NON_FINITE, ORIENTATION_ERROR = range(
   1, len(CAUSES)
 )
-# None stands for no limit.
-_STRICT = pydantic.ConfigDict(strict=True, extra='forbid')
 
 
-@pydantic_dataclasses.dataclass(frozen=True, config=_STRICT)
+@config.dataclass
 class TerminationLimits:
   """Bounds whose crossing ends an episode.
 
@@ -39,14 +38,10 @@ class TerminationLimits:
     angle: of the trunk's orientation from its reference, radians; pi for none.
   """
 
-  distance: float = 0.35
-  reward: float = 0.3
-  height: float = 0.22
-  angle: float = 1.0
-
-  def __post_init__(self) -> None:
-    if any(np.isnan(value) for value in vars(self).values()):
-      raise ValueError(f'a limit must be a number, got {self}')
+  distance: config.Limit = constants.TRACKING_DISTANCE
+  reward: config.Limit = 0.3
+  height: config.Limit = 0.22
+  angle: config.Limit = constants.TRACKING_ANGLE
 
 
 # With these, only a state that is not finite ends an episode.

@@ -246,7 +246,7 @@ class ReachingEnvironment(dm_env.Environment):
     reward = 0.0
     for _ in range(self._knot_steps):
       seen = observations.flatten(self._task.observation)
-      action = self._policy.select_action(seen)[0].astype(np.float64)
+      action = np.asarray(self._policy.select_action(seen))[0]
       timestep = self._env.step(action)
       if timestep.discount:
         position = self.physics.data.qpos[None, :3]

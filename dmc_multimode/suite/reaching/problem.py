@@ -15,13 +15,16 @@ import numpy as np
 
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.modes import mode_set as mode_set_lib
-from dmc_multimode.suite.imitation import config as config_lib
+from dmc_multimode.suite.imitation import config as imitation_config
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import terminations
+from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import constants
+from dmc_multimode.utils import durations
 from dmc_multimode.walkers import kinematics
 
 _NEAR_X, _NEAR_Z = 0.3, 0.12  # Metres: bounds of reached.
+_NEAR_Y = 0.5  # Metres; modes drift sideways, and nothing steers.
 _UPRIGHT = 0.7  # Cosine of the trunk's tilt.
 _EXACT = 1e-6  # Metres: rounding of sums.
 
@@ -42,14 +45,14 @@ class Policy(Protocol):
     """Modes of the policy."""
 
   @property
-  def config(self) -> config_lib.ImitationConfig:
+  def config(self) -> imitation_config.ImitationConfig:
     """Task that it was trained for."""
 
   def select_action(self, observations: np.ndarray) -> np.ndarray:
     """Returns mean joint targets [B, 10] for observations [B, D]."""
 
 
-@dataclasses.dataclass(frozen=True)
+@config_lib.dataclass
 class ReachingConfig:
   """Reaching problem: the goal and the knots of its plan.
 
@@ -61,21 +64,9 @@ class ReachingConfig:
   """
 
   goal: tuple[float, float, float] = (2.0, 0.0, 0.5)
-  knots: int = 11
-  knot_duration: float = 0.3
-  seed: int = 0
-
-  def __post_init__(self) -> None:
-    if len(self.goal) != 3 or not np.isfinite(self.goal).all():
-      raise ValueError(f'A goal is x, y and z in metres, got {self.goal}.')
-    if self.knots < 1:
-      raise ValueError(f'A plan has at least one knot, got {self.knots}.')
-    if not (np.isfinite(self.knot_duration) and self.knot_duration > 0):
-      raise ValueError(
-        f'Knots must last longer than 0 s, got {self.knot_duration}.'
-      )
-    if self.seed < 0:
-      raise ValueError(f'seed must not be negative, got {self.seed}.')
+  knots: config_lib.PositiveInt = 11
+  knot_duration: config_lib.Positive = 0.3
+  seed: config_lib.Count = 0
 
 
 class Problem(NamedTuple):
@@ -158,8 +149,8 @@ def within(config: ReachingConfig, time_limit: float | None) -> ReachingConfig:
     return config
   if not config.knot_duration <= time_limit < math.inf:
     raise ValueError(
-      f'time_limit must have room for a knot, {config.knot_duration} s, got '
-      f'{time_limit}.'
+      f'time_limit must be finite here and have room for a knot, '
+      f'{config.knot_duration} s, got {time_limit}.'
     )
   knots = math.floor(time_limit / config.knot_duration + 1e-6)
   return dataclasses.replace(config, knots=knots)
@@ -167,7 +158,7 @@ def within(config: ReachingConfig, time_limit: float | None) -> ReachingConfig:
 
 def task_config(
   policy: Policy, reaching: ReachingConfig
-) -> config_lib.ImitationConfig:
+) -> imitation_config.ImitationConfig:
   """Returns the task with tracking limits off: only falls terminate."""
   task = policy.config
   duration = reaching.knots * reaching.knot_duration
@@ -185,14 +176,9 @@ def knot_steps(reaching: ReachingConfig, control_timestep: float) -> int:
   Raises:
     ValueError: the number is not whole.
   """
-  duration = reaching.knot_duration
-  steps = round(duration / control_timestep)
-  if steps < 1 or abs(steps * control_timestep - duration) > 1e-6:
-    raise ValueError(
-      f'A knot of {duration} s is no multiple of the control step, '
-      f'{control_timestep} s.'
-    )
-  return steps
+  return durations.whole_steps(
+    reaching.knot_duration, control_timestep, 'A knot'
+  )
 
 
 def check_goal(goal: tuple[float, ...], terrain: terrain_lib.Terrain) -> None:
@@ -246,6 +232,8 @@ def reached(
 ) -> np.ndarray:
   """Returns whether robots are upright at or past the goal, [B].
 
+  Only a goal ahead of the start, x = 0, can be past.
+
   Args:
     qpos: generalised positions, [B, 17].
     terrain: under the B robots.
@@ -255,7 +243,8 @@ def reached(
   at_goal = terrain_lib.support_height(terrain, np.full_like(x, goal[0]))
   same = terrain_lib.support_height(terrain, x) == at_goal
   there = np.abs(x - goal[0]) <= _NEAR_X
-  there |= (x > goal[0]) & same
+  there |= (x > goal[0] > 0) & same
+  there &= np.abs(qpos[:, 1] - goal[1]) <= _NEAR_Y
   # The third column of the rotation matrix: how upright the trunk is.
   up = 1 - 2 * (qpos[:, 4] ** 2 + qpos[:, 5] ** 2)
   return there & (np.abs(z - goal[2]) <= _NEAR_Z) & (up > _UPRIGHT)

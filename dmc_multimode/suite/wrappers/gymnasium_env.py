@@ -143,7 +143,7 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, Any]):
     observation, info = self._see(timestep)
     return observation, float(timestep.reward), terminated, truncated, info
 
-  def _checked(self, action: Any) -> np.ndarray:
+  def _checked(self, action: Any) -> Any:
     """Returns the action; a number that is no index is none of a `Discrete`."""
     is_index = isinstance(self.action_space, gymnasium.spaces.Discrete)
     if is_index and action not in self.action_space:
@@ -151,7 +151,7 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, Any]):
         f'An action is the index of a mode, below {len(self.mode_names)}, got '
         f'{action!r}.'
       )
-    return np.asarray(action)
+    return action
 
   def _check_open(self) -> None:
     if self._closed:
@@ -207,7 +207,7 @@ def most_steps(environment: dm_env.Environment) -> int | None:
 
 def limited(spec: Any, steps: int | None) -> Any:
   """Returns a copy of an `EnvSpec` with these steps in an episode."""
-  if spec is not None and steps is not None:
+  if spec is not None and steps not in (None, durations.UNBOUNDED):
     spec = copy.copy(spec)
     spec.max_episode_steps = steps
   return spec

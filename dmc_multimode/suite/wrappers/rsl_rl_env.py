@@ -90,7 +90,7 @@ class RslRlVecEnv(rsl_rl_env.VecEnv):
         final_observations: the groups of observations with those of the ended
           episodes still in place, to bootstrap from.
     """
-    step = self._environment.step(actions.numpy())
+    step = self._environment.step(actions)
     self._observation = final = step.observation
     if step.last.any():
       final = final.copy()

@@ -1,10 +1,11 @@
 """Tests of dmc_multimode.agents.ppo.networks."""
 
-from typing import Callable
+from typing import Any, Callable
 
 import numpy as np
 import pytest
 import torch
+from torch import nn
 
 from dmc_multimode.agents.ppo import networks
 
@@ -92,6 +93,38 @@ def test_activation(
     first, second, output = networks.linears_of(perceptron)
     expected = output(function(second(function(first(observation)))))
     torch.testing.assert_close(perceptron(observation), expected)
+
+
+@pytest.mark.parametrize(
+  ('part', 'module', 'message'),
+  [
+    (
+      'policy',
+      nn.Linear(5, 3),
+      r'maps \[N, 5\] to \[N, 2\].* returns \(2, 3\)',
+    ),
+    ('policy', nn.Linear(4, 2), 'Linear for N = 2 fails: '),
+    ('policy', nn.LSTM(5, 2), 'LSTM for N = 2 fails: '),
+    ('policy', lambda x: x[..., :2], 'must be a torch module'),
+    ('value', nn.Flatten(0), r'maps \[N, 8\] to \[N, 1\]'),
+  ],
+)
+def test_modules_refused(part: str, module: Any, message: str) -> None:
+  with pytest.raises(ValueError, match=f'{part} must be.*{message}') as error:
+    networks.ActorCritic(5, 2, (4,), privileged_size=3, **{part: module})
+  assert '\n' not in str(error.value)
+
+
+def test_modules_of_ones_own() -> None:
+  """Trying them changes no statistics, and an empty module is one."""
+  norm = nn.BatchNorm1d(5)
+  policy = nn.Sequential(norm, nn.Linear(5, 2))
+  network = networks.ActorCritic(5, 2, (4,), policy=policy)
+  assert norm.training and not norm.num_batches_tracked
+  assert network.own_modules((4,)) == {'policy': 'Sequential'}
+  network = networks.ActorCritic(2, 2, (4,), policy=nn.Sequential())
+  torch.testing.assert_close(network.mean(torch.ones(1, 2)), torch.ones(1, 2))
+  assert networks.ActorCritic(2, 2, (4,)).own_modules((4,)) == {}
 
 
 def test_std() -> None:

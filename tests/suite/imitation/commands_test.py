@@ -127,6 +127,21 @@ def test_reference_by_hand(
   np.testing.assert_allclose(tracker.state.heading, [heading])
 
 
+@pytest.mark.parametrize(('rate', 'message'), [(4.0, ''), (4.1, 'at most 4')])
+def test_a_cycle_lasts_at_least_a_control_step(
+  rate: float, message: str
+) -> None:
+  """Beyond, a single step would go through several cycles."""
+  if message:
+    with pytest.raises(ValueError, match=f'go: its cycle of 1 s.*{message}'):
+      _started([_JUMP], clock_rate=rate)
+    return
+  tracker = _started([_GO], clock_rate=rate)
+  for _ in range(3):
+    tracker.advance()
+  np.testing.assert_allclose(tracker.reference().position, [[6.0, 0.0, 0.5]])
+
+
 # --- Commands.
 
 

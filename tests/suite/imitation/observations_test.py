@@ -136,20 +136,6 @@ def test_heading_frame(
   np.testing.assert_allclose(turned[0], expected, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-  ('row', 'expected'),
-  [
-    ((0.0, 1.0), True),
-    ((0.0, np.nan), False),
-    ((-np.inf, np.inf), False),
-    ((1e308, 1e308), True),  # Their sum alone is not.
-  ],
-)
-def test_finite_rows(row: tuple[float, float], expected: bool) -> None:
-  finite = observations.finite_rows(np.array([(2.0, 3.0), row]))
-  np.testing.assert_array_equal(finite, [True, expected])
-
-
 def test_policy_sees_the_orientation_in_the_commanded_heading() -> None:
   """And nothing else; who diverged is upright."""
   ahead, turned = _policy_sees(), _policy_sees(heading=np.pi / 2)

@@ -42,6 +42,11 @@ def test_rewards() -> None:
     (_GOAL, _qpos(1.71, 0.5), True),
     (_GOAL, _qpos(1.69, 0.5), False),
     (_GOAL, _qpos(7.0, 0.5), True),  # Past it on the same segment.
+    # None can be past a goal that is behind the start, or to its side.
+    ((-1.0, 0.0, 0.5), _qpos(0.0, 0.5), False),
+    ((-0.2, 0.0, 0.5), _qpos(0.05, 0.5), True),
+    ((2.0, 0.6, 0.5), _qpos(2.0, 0.5), False),
+    ((2.0, -0.4, 0.5), _qpos(3.0, 0.5), True),
     (_GOAL, _qpos(2.0, 0.61), True),
     (_GOAL, _qpos(2.0, 0.63), False),
     (_GOAL, _qpos(2.0, 0.37), False),
@@ -138,7 +143,15 @@ def test_random_problem() -> None:
 
 @pytest.mark.parametrize(
   ('time_limit', 'knots'),
-  [(None, 11), (0.3, 1), (0.59, 1), (0.9, 3), (0.29, 0), (math.nan, 0)],
+  [
+    (None, 11),
+    (0.3, 1),
+    (0.59, 1),
+    (0.9, 3),
+    (0.29, 0),
+    (math.nan, 0),
+    (math.inf, 0),
+  ],
 )
 def test_within(time_limit: float | None, knots: int) -> None:
   config = reaching.ReachingConfig(seed=3)
@@ -146,5 +159,7 @@ def test_within(time_limit: float | None, knots: int) -> None:
     found = reaching.within(config, time_limit)
     assert found == reaching.ReachingConfig(knots=knots, seed=3)
     return
-  with pytest.raises(ValueError, match='time_limit must have room for a knot'):
+  with pytest.raises(
+    ValueError, match='time_limit must be finite here and have room'
+  ):
     reaching.within(config, time_limit)
