@@ -4,7 +4,6 @@ import dataclasses
 from typing import Any, Iterator
 
 from absl import flags
-from pydantic import dataclasses as pydantic_dataclasses
 import pytest
 
 from dmc_multimode.bin import flags as config_flags
@@ -13,7 +12,7 @@ from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import schedule
 
 
-@pydantic_dataclasses.dataclass(frozen=True, config=config_lib.STRICT)
+@config_lib.dataclass
 class _Gains:
   """Gains.
 
@@ -25,7 +24,7 @@ class _Gains:
   weight: config_lib.NonNegative = 0.5
 
 
-@pydantic_dataclasses.dataclass(frozen=True, config=config_lib.STRICT)
+@config_lib.dataclass
 class _Config:
   """Test configuration.
 

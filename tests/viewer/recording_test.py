@@ -95,7 +95,7 @@ def test_slow_motion_refused(slow: float) -> None:
 @pytest.mark.parametrize(
   ('changes', 'message'),
   [
-    ({'clock_rate': 21.0}, 'walk_forward: its cycle .* at most 20'),
+    ({'clock_rate': 21.0}, 'its cycle of 0.6 s at .* 21 .* at most 20'),
     ({'durations': (0.01,)}, 'time_limit .* no room'),
   ],
 )

@@ -159,7 +159,7 @@ class ActorCritic(nn.Module):
       ('policy', size, len(self.log_std)),
       ('value', size + more, 1),
     ):
-      part = getattr(self, name, None)
+      part: Any = getattr(self, name, None)
       seen = torch.zeros(2, length, device=self.log_std.device)
       try:
         found = f'returns {tuple(part(seen).shape)}'

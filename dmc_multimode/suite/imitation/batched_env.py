@@ -10,6 +10,7 @@ from typing import Any, Mapping, NamedTuple
 from dm_env import specs
 import mujoco
 import numpy as np
+from numpy import typing as npt
 
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.modes import motion as motion_lib
@@ -171,7 +172,7 @@ class BatchedImitation:
     self._ended[:] = False
     return self.copy_state(np.zeros(self.num_worlds, dtype=np.int64))
 
-  def step(self, actions: np.ndarray) -> BatchedTimeStep:
+  def step(self, actions: npt.ArrayLike) -> BatchedTimeStep:
     """Applies actions for one control step.
 
     Args:
@@ -182,9 +183,8 @@ class BatchedImitation:
       ValueError: they are no numbers, have another shape, or are not finite;
         the worlds are as before.
     """
-    actions = self._checked(actions)
     diverged = self.physics.step(
-      actions, self._bounds, self.moving, self.config.substeps
+      self._checked(actions), self._bounds, self.moving, self.config.substeps
     )
     steps = self.num_worlds * self._replicas
     self.steps += steps
@@ -202,15 +202,15 @@ class BatchedImitation:
     observation = self._observe()
     return self._conclude(outcome, observation)
 
-  def _checked(self, actions: np.ndarray) -> np.ndarray:
+  def _checked(self, actions: npt.ArrayLike) -> np.ndarray:
     """Returns actions that the engine can take; see `step`."""
     shape = (self.num_worlds, *self._action_spec.shape)
-    actions = arrays.numbers(actions, 'actions', shape)
-    valid = arrays.finite_rows(actions)
+    checked = arrays.numbers(actions, 'actions', shape)
+    valid = arrays.finite_rows(checked)
     if not valid.all():
       acts = self.moving & arrays.finite_rows(self.physics.state)
       arrays.check_worlds(valid | ~acts, 'actions')
-    return actions
+    return checked
 
   def command(self, modes: np.ndarray) -> np.ndarray:
     """Commands modes now, whatever the schedules say; returns observations.

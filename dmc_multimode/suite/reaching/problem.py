@@ -243,7 +243,7 @@ def reached(
   at_goal = terrain_lib.support_height(terrain, np.full_like(x, goal[0]))
   same = terrain_lib.support_height(terrain, x) == at_goal
   there = np.abs(x - goal[0]) <= _NEAR_X
-  there |= (x > goal[0] > 0) & same
+  there |= (x > goal[0]) & same & (goal[0] > 0)
   there &= np.abs(qpos[:, 1] - goal[1]) <= _NEAR_Y
   # The third column of the rotation matrix: how upright the trunk is.
   up = 1 - 2 * (qpos[:, 4] ** 2 + qpos[:, 5] ** 2)

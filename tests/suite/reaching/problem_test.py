@@ -58,8 +58,10 @@ def test_rewards() -> None:
   ],
 )
 def test_reached(goal: Any, qpos: np.ndarray, expected: bool) -> None:
-  found = reaching.reached(qpos, _STEPPED, np.array(goal))
-  np.testing.assert_array_equal(found, [expected])
+  two = terrain_lib.Terrain(*(np.repeat(f, 2, axis=0) for f in _STEPPED))
+  qpos = np.concatenate([qpos, _qpos(9.0, -1.0)])  # The second one fell.
+  found = reaching.reached(qpos, two, np.array(goal))
+  np.testing.assert_array_equal(found, [expected, False])
 
 
 @pytest.mark.parametrize(
