@@ -75,8 +75,9 @@ def _rsl_rl() -> Any:
   return lambda action: env.step(torch.from_numpy(np.asarray(action)))
 
 
-_SINGLE = {'composer': _composer, 'gymnasium': _gymnasium}
-_MANY = {
+Entrances = dict[str, Callable[..., Any]]
+_SINGLE: Entrances = {'composer': _composer, 'gymnasium': _gymnasium}
+_MANY: Entrances = {
   'batched': _batched,
   'vector': _vector,
   'stable_baselines3': _stable_baselines3,
@@ -86,7 +87,7 @@ _MANY = {
 
 def _begun(name: str) -> Step:
   """Returns the step of an entrance that has been reset."""
-  env = (_SINGLE | _MANY)[name]()
+  env: Any = (_SINGLE | _MANY)[name]()
   if name == 'rsl_rl':
     return env
   env.reset(**({'seed': 0} if name in ('gymnasium', 'vector') else {}))

@@ -176,7 +176,10 @@ def _make(size: int, actions: int, privileged: int) -> networks.ActorCritic:
   ('own', 'make'),
   [
     ({'policy': '_Own'}, _make),
-    ({'network': '_OwnCritic'}, lambda *n: _OwnCritic(*n[:2], (16, 8))),
+    (
+      {'network': '_OwnCritic'},
+      lambda size, actions, _: _OwnCritic(size, actions, (16, 8)),
+    ),
   ],
 )
 def test_modules_of_ones_own(folder: pathlib.Path, own: Any, make: Any) -> None:
@@ -197,7 +200,7 @@ def test_modules_of_ones_own(folder: pathlib.Path, own: Any, make: Any) -> None:
   np.testing.assert_array_equal(loaded.select_action(seen), expected)
   with pytest.raises(ValueError, match='of another network'):
     pretrained.load(
-      folder, network=lambda *n: networks.ActorCritic(*n[:2], (8,))
+      folder, network=lambda *n: networks.ActorCritic(n[0], n[1], (8,))
     )
   with pytest.raises(ValueError, match='return an ActorCritic'):
     pretrained.load(folder, network=lambda *n: nn.Identity())  # type: ignore

@@ -127,12 +127,10 @@ def test_only_pi3_is_paid_for_contacts() -> None:
 def test_rejects_time_limit(task: str, seconds: float) -> None:
   if task == 'idle' and seconds == np.inf:
     return  # Unbounded episodes.
-  for kwargs in (
-    {'task_kwargs': {'time_limit': seconds}},
-    {'environment_kwargs': {'time_limit': seconds}},
-  ):
+  limit = {'time_limit': seconds}
+  for task_kwargs, environment_kwargs in ((limit, None), (None, limit)):
     with pytest.raises(ValueError, match='time_limit') as error:
-      suite.load(_DOMAIN, task, **kwargs)
+      suite.load(_DOMAIN, task, task_kwargs, environment_kwargs)
     assert '\n' not in str(error.value)
 
 

@@ -16,7 +16,7 @@ from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import rewards
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.suite.reaching import problem as reaching
-from dmc_multimode.utils import config
+from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import schedule
 from dmc_multimode.viewer import recording
 from dmc_multimode.viewer import rollout
@@ -61,10 +61,10 @@ def test_numbers(values: Any) -> None:
 
 
 def test_sequences_are_tuples() -> None:
-  goal = np.array([1.0, 0.0, 0.5])
-  assert reaching.ReachingConfig(goal) == reaching.ReachingConfig(
-    goal.tolist()  # type: ignore[arg-type]
-  )
+  goal = (1.0, 0.0, 0.5)
+  for given in (np.array(goal), list(goal)):
+    config = reaching.ReachingConfig(given)  # type: ignore[arg-type]
+    assert config.goal == goal
   with pytest.raises(ValueError, match=r'^goal\.2: Field required$'):
     reaching.ReachingConfig((1.0, 0.0))  # type: ignore[arg-type]
 
@@ -79,4 +79,4 @@ def test_trainings_are_bounded(limit: str) -> None:
 
 def test_round_trip() -> None:
   values = task_config.ImitationConfig(time_limit=math.inf)
-  assert config.build(type(values), config.to_dict(values)) == values
+  assert config_lib.build(type(values), config_lib.to_dict(values)) == values
