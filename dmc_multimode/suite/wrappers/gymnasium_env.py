@@ -26,6 +26,7 @@ from dmc_multimode import suite
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.reaching import environment as reaching_env
 from dmc_multimode.suite.wrappers import frames
+from dmc_multimode.utils import durations
 
 try:
   import gymnasium
