@@ -94,6 +94,7 @@ _HEADLESS = {'DISPLAY': '', 'WAYLAND_DISPLAY': ''}
 
 
 @pytest.mark.gl
+@pytest.mark.slow
 @pytest.mark.parametrize(
   ('before', 'drawn'),
   [

@@ -24,7 +24,6 @@ import numpy as np
 
 from dmc_multimode import suite
 from dmc_multimode.suite import multimode_biped
-from dmc_multimode.suite.reaching import environment as reaching_env
 from dmc_multimode.suite.wrappers import frames
 from dmc_multimode.utils import durations
 
@@ -197,9 +196,13 @@ def closed() -> Exception:
   )
 
 
-def most_steps(environment: dm_env.Environment) -> int | None:
-  """Returns the steps of the longest episode; None if it has no such bound."""
-  if isinstance(environment, reaching_env.ReachingEnvironment):
+def most_steps(environment: Any) -> int | None:
+  """Returns the steps of the longest episode; None if it has no such bound.
+
+  Args:
+    environment: of a task of ours, possibly within a wrapper of dm_control's.
+  """
+  if hasattr(environment, 'most_knots'):
     return environment.most_knots
   # `Environment` tells nobody its limit, which its arguments may override.
   steps = environment._time_limit / environment.control_timestep()
