@@ -12,7 +12,6 @@ No field takes NaN, and none but a `Limit` or `Duration` an infinity.
 """
 
 import dataclasses
-import functools
 import json
 import math
 import typing
@@ -67,24 +66,29 @@ def dataclass(kind: type[_T]) -> type[_T]:
   Its constructor takes numpy's numbers for Python's, and lists and arrays for
   tuples, and raises ValueError in one line that names the field.
   """
-  made: Any = pydantic_dataclasses.dataclass(frozen=True, config=STRICT)(kind)
-  checked = made.__init__
-  names = [field.name for field in dataclasses.fields(made) if field.init]
+  # A metaclass: pydantic replaces `__init__` whenever it builds a validator.
+  body = {'__qualname__': kind.__qualname__, **vars(kind)}
+  for name in ('__dict__', '__weakref__'):
+    body.pop(name, None)
+  made: Any = _Configuration(kind.__name__, kind.__bases__, body)
+  result: Any = pydantic_dataclasses.dataclass(frozen=True, config=STRICT)(made)
+  return result
 
-  @functools.wraps(checked)
-  def construct(self: Any, *args: Any, **kwargs: Any) -> None:
+
+class _Configuration(type):
+  """Class of the classes of configurations."""
+
+  def __call__(cls, *args: Any, **kwargs: Any) -> Any:
+    """Returns a configuration; raises ValueError in one line."""
+    kind: Any = cls
+    names = [field.name for field in dataclasses.fields(kind) if field.init]
     # By name, which is how an error calls them.
-    given = dict(zip(names, args, strict=False))
-    given = {name: _plain(value) for name, value in given.items()}
+    given = dict(zip(names, map(_plain, args), strict=False))
     plain = {name: _plain(value) for name, value in kwargs.items()}
     try:
-      checked(self, *args[len(given) :], **given, **plain)
+      return super().__call__(*args[len(given) :], **given, **plain)
     except pydantic.ValidationError as error:
       raise ValueError(describe(error)) from None
-
-  made.__init__ = construct
-  result: type[_T] = made
-  return result
 
 
 def _plain(value: Any) -> Any:

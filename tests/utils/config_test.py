@@ -5,6 +5,7 @@ import math
 from typing import Any
 
 import numpy as np
+import pydantic
 import pytest
 
 from dmc_multimode.agents import runner
@@ -44,6 +45,7 @@ def _refused(values: Any, name: str, value: Any) -> None:
 
 @pytest.mark.parametrize('values', _CONFIGS, ids=lambda v: type(v).__name__)
 def test_numbers(values: Any) -> None:
+  pydantic.TypeAdapter(type(values))  # Builds its validator.
   for field in dataclasses.fields(values):
     now, name = getattr(values, field.name), field.name
     if type(now) is tuple and now and isinstance(now[-1], float):
