@@ -1,10 +1,12 @@
 """Tests of dmc_multimode.bin.export, and of what is done with its files."""
 
+import importlib.util
 import json
 import pathlib
 import re
 import subprocess
 import sys
+import types
 from typing import Iterator
 
 import mujoco
@@ -15,9 +17,11 @@ from dmc_multimode import pretrained
 from dmc_multimode.deployment import description
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
+from dmc_multimode.suite.imitation import observations
 from tests.bin import processes
 
 _ROOT = pathlib.Path(__file__).resolve().parents[2]
+_EXAMPLE = _ROOT / 'examples' / 'deploy_mujoco.py'
 
 
 @pytest.fixture(scope='module')
@@ -91,8 +95,6 @@ def test_the_description_is_that_of_the_task(out: pathlib.Path) -> None:
     values = seen[part['start'] : part['start'] + part['size']]
     if part['name'] == 'command':
       np.testing.assert_array_equal(values, np.float32(mode['latent']))
-    if part['name'] == 'joints_pos':
-      np.testing.assert_array_equal(values, np.float32(worlds.qpos[0, 7:]))
   assert part['start'] + part['size'] == len(seen)
   np.testing.assert_array_equal(
     about['action']['minimum'], worlds.action_spec().minimum
@@ -114,6 +116,26 @@ def test_the_description_is_that_of_the_task(out: pathlib.Path) -> None:
     data.actuator_force,
     np.clip(torque, -np.array(servos['limit']), servos['limit']),
   )
+
+
+def test_the_example_senses_what_the_task_observes() -> None:
+  spec = importlib.util.spec_from_file_location('example', _EXAMPLE)
+  assert spec and spec.loader
+  example = importlib.util.module_from_spec(spec)
+  spec.loader.exec_module(example)
+  random = np.random.RandomState(0)
+  for _ in range(20):  # Half of the quaternions have a negative w.
+    qpos, qvel = random.standard_normal(17), random.standard_normal(16)
+    qpos[3:7] /= np.linalg.norm(qpos[3:7])
+    seen = example.sense(types.SimpleNamespace(qpos=qpos, qvel=qvel), 0.4)
+    zero = np.zeros(1)
+    view = observations.policy_view(
+      qpos[None], qvel[None], zero + 0.4, zero, zero, np.zeros((1, 4))
+    )
+    observed = observations.observe(view)
+    assert {*seen, 'clock', 'command'} == set(observed)
+    for name, values in seen.items():
+      np.testing.assert_allclose(values, observed[name][0], atol=1e-12)
 
 
 def test_the_document_has_the_parts() -> None:
@@ -141,7 +163,7 @@ def test_the_example_controller_stands_on_the_block(
   assert done.code == 0, done.stderr
   run = subprocess.run(
     [sys.executable, '-W', 'error', '-c', _ALONE]
-    + [str(_ROOT / 'examples' / 'deploy_mujoco.py')]
+    + [str(_EXAMPLE)]
     + [str(out), str(tmp_path / 'mini_biped_block.xml')],
     cwd=tmp_path,
     capture_output=True,
