@@ -41,7 +41,6 @@ _VECTOR_ENTRY_POINT = (
 NAMESPACE = 'dmc_multimode'
 _VERSION = 0
 SEEDS = 2**32  # Seeds of a RandomState.
-_ROUNDING = 1e-6  # Control steps.
 
 
 class GymnasiumEnv(gymnasium.Env[np.ndarray, Any]):
@@ -197,20 +196,23 @@ def closed() -> Exception:
 
 
 def most_steps(environment: Any) -> int | None:
-  """Returns the steps of the longest episode; None if it has no such bound.
+  """Returns the steps of the longest episode, for `limited`.
 
   Args:
     environment: of a task of ours, possibly within a wrapper of dm_control's.
   """
   if hasattr(environment, 'most_knots'):
     return environment.most_knots
-  # `Environment` tells nobody its limit, which its arguments may override.
-  steps = environment._time_limit / environment.control_timestep()
-  return math.ceil(steps - _ROUNDING) if math.isfinite(steps) else None
+  return environment.task.config.horizon
 
 
 def limited(spec: Any, steps: int | None) -> Any:
-  """Returns a copy of an `EnvSpec` with these steps in an episode."""
+  """Returns a copy of an `EnvSpec` with these steps in an episode.
+
+  Args:
+    spec: or None.
+    steps: None or `durations.UNBOUNDED` where there is no bound.
+  """
   if spec is not None and steps not in (None, durations.UNBOUNDED):
     spec = copy.copy(spec)
     spec.max_episode_steps = steps

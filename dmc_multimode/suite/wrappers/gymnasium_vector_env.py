@@ -9,7 +9,6 @@ the next episode begins: `autoreset_mode` has all three.
 """
 
 import dataclasses
-import math
 from typing import Any, Mapping
 
 from dm_control import mjcf
@@ -133,10 +132,7 @@ class BatchedVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
   @spec.setter
   def spec(self, spec: Any) -> None:
-    config = self._task.config
-    is_limited = math.isfinite(config.time_limit)
-    steps = config.horizon if is_limited else None
-    self._spec = gymnasium_env.limited(spec, steps)
+    self._spec = gymnasium_env.limited(spec, self._task.config.horizon)
 
   def reset(
     self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -205,7 +201,7 @@ class BatchedVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     # Nothing moves where the next episode is about to begin.
     self._worlds.moving[:] = ~self._over
     before = self._modes()['mode']
-    step = self._worlds.step(np.asarray(actions))
+    step = self._worlds.step(actions)
     last, observation, reward = step.last, step.observation, step.reward
     if begins:
       observation = self._worlds.reset(ended)

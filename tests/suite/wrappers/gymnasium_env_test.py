@@ -2,6 +2,7 @@
 
 import functools
 import importlib
+import math
 import sys
 from typing import Any
 from unittest import mock
@@ -12,6 +13,7 @@ import pytest
 
 from dmc_multimode import suite
 from dmc_multimode.suite.imitation import observations
+from dmc_multimode.utils import durations
 from dmc_multimode.walkers import mini_biped
 
 gymnasium = pytest.importorskip(
@@ -161,6 +163,7 @@ def test_observation_has_the_declared_size(
     ('walk_forward', {}, 150),
     ('walk_forward', {'time_limit': 9.0}, 300),
     ('walk_forward', {'time_limit': 9.0, 'max_episode_steps': 7}, 7),
+    ('walk_forward', {'time_limit': math.inf}, None),
     ('reach_gap', {}, 11),
     ('reach_parkour', {'time_limit': 0.6}, 4),
     ('reach_parkour', {}, None),
@@ -173,7 +176,7 @@ def test_spec_tells_the_time_limit(
   if not task.startswith('reach'):
     envs = _batch(task, 2, **limit)
     assert envs.spec.max_episode_steps == steps
-    assert envs._worlds.config.horizon == steps
+    assert envs._worlds.config.horizon == (steps or durations.UNBOUNDED)
     with pytest.raises(ValueError, match='max_episode_steps.*time_limit'):
       _batch(task, 2, max_episode_steps=151)
 
