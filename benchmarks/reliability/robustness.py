@@ -26,6 +26,7 @@ from typing import Mapping, Sequence
 from absl import flags
 import mujoco
 import numpy as np
+from numpy import typing as npt
 import tqdm
 
 from benchmarks import common
@@ -162,7 +163,7 @@ class Worlds(batched_env.BatchedImitation):
     mujoco.mj_setConst(model, mujoco.MjData(model))
     super().__init__(task, len(schedule), seed, auto_reset=False, model=model)
 
-  def step(self, actions: np.ndarray) -> batched_env.BatchedTimeStep:
+  def step(self, actions: npt.ArrayLike) -> batched_env.BatchedTimeStep:
     """Pushes if it is time to, and steps."""
     self._steps += 1
     if not self._steps % round(_PUSH_PERIOD / self.control_timestep):
