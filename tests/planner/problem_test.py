@@ -191,10 +191,10 @@ def test_state_that_is_not_finite_is_not_alive(
 @pytest.mark.parametrize(
   ('changes', 'message'),
   [
-    ({'knots': 0}, 'at least one knot'),
-    ({'knot_duration': 0.0}, 'longer than 0'),
+    ({'knots': 0}, '^knots: '),
+    ({'knot_duration': 0.0}, '^knot_duration: '),
     ({'seed': -1}, 'seed'),
-    ({'goal': (1.0, 0.5)}, 'x, y and z'),
+    ({'goal': (1.0, 0.5)}, '^goal.2: '),
     ({'goal': (1.0, 0.0, 0.5), 'arena': 'gap'}, 'not over the track'),
   ],
 )
