@@ -51,7 +51,9 @@ _TERMINATE = flags.DEFINE_bool(
   'terminate', False, 'Stop where an episode would end early.'
 )
 _COMPARE = config_flags.define_path(
-  'compare', None, 'Another policy to show beside, on the same schedule.'
+  'compare',
+  None,
+  'Another policy to show beside, or an .mp4 file that was recorded before.',
 )
 _SLOW_MOTION = flags.DEFINE_float('slow_motion', 1.0, 'Times slower than life.')
 

@@ -127,7 +127,8 @@ def record(
     terminate: ends the video at a termination of the episode.
     quiet: hides the progress bar.
     compare: another policy to show beside it, with the same schedule and
-      camera, each in its own task.
+      camera, each in its own task; or an .mp4 file that was recorded before, in
+      this size and at this frame rate, such as one of an earlier version.
 
   Raises:
     FileNotFoundError: there is no such policy or plan.
@@ -142,6 +143,10 @@ def record(
     what = _planned(plan)
   else:
     raise ValueError('Say what to record: a schedule or a plan.')
+  earlier = None
+  if isinstance(compare, (str, os.PathLike)):
+    if str(compare).endswith(video.SUFFIX):
+      earlier, compare = pathlib.Path(compare), None
   for each in (policy, compare):
     if isinstance(each, (str, os.PathLike)):
       known = folder.mode_set(each)
@@ -159,7 +164,10 @@ def record(
   )
   config = config or RecordingConfig()
   if compare is None:
-    return film(_load(policy), rollout_config, config, path, quiet)
+    policies = {'': _load(policy)}
+    return film_beside(policies, rollout_config, config, path, quiet, earlier)[
+      0
+    ]
   names = [
     str(each) if isinstance(each, (str, os.PathLike)) else title
     for each, title in ((policy, 'first'), (compare, 'second'))
@@ -244,6 +252,7 @@ def film_beside(
   config: RecordingConfig,
   out: pathlib.Path,
   quiet: bool = False,
+  earlier: pathlib.Path | None = None,
 ) -> list[Recording]:
   """Rolls out several policies, and writes one video of them side by side.
 
@@ -253,12 +262,15 @@ def film_beside(
     policies: by the names to show; '' shows none.
     rollout_config, config, out, quiet: as for `film`; the size is that of one
       policy's picture.
+    earlier: a video to show beside them, on the right.
 
   Raises:
-    ValueError: as `film`, or the policies' control steps are of two lengths.
-    OSError: the video cannot be written.
+    ValueError: as `film`, or the policies' control steps are of two lengths, or
+      the earlier video has another size.
+    OSError: the video cannot be written, or the earlier one not read.
   """
-  video.check_size(config.width * len(policies), config.height)
+  count = len(policies) + (earlier is not None)
+  video.check_size(config.width * count, config.height)
   shots = [
     _Shot(policy, name, rollout_config, config)
     for name, policy in policies.items()
@@ -266,21 +278,26 @@ def film_beside(
   periods = {shot.rollout.task.control_timestep for shot in shots}
   if len(periods) > 1:
     raise ValueError('The policies act at different periods.')
+  sources = [shot.frames() for shot in shots]
+  if earlier:
+    sources.append(video.read_frames(earlier))
   bar = tqdm.tqdm(
-    itertools.zip_longest(*(shot.frames() for shot in shots)),
+    itertools.zip_longest(*sources),
     'recording',
     max(shot.rollout.num_steps for shot in shots),
     unit='frame',
     disable=quiet,
   )
   size = config.height, config.width, 3
-  shown = [np.zeros(size, dtype=np.uint8) for _ in shots]
+  shown = [np.zeros(size, dtype=np.uint8) for _ in sources]
   rate = 1 / (periods.pop() * config.slow_motion)
   video.check_rate(rate)
   with bar, video.open_writer(out, rate) as append:
     for frames in bar:
       pairs = zip(frames, shown, strict=True)
       shown = [old if new is None else new for new, old in pairs]
+      if shown[-1].shape != size:
+        raise ValueError(f'{earlier} has another size: record it in this one.')
       append(np.concatenate(shown, axis=1))
   return [
     Recording(outcomes(rollout_config, shot.start, shot.steps), len(shot.steps))

@@ -60,6 +60,20 @@ def check_rate(frame_rate: float) -> None:
     )
 
 
+def read_frames(path: pathlib.Path) -> Iterator[np.ndarray]:
+  """Yields the frames of a video, uint8 [height, width, 3] in RGB.
+
+  Raises:
+    OSError, ValueError: there is no such file, or it is no video.
+  """
+  # Late: codecs take a while to load.
+  import av
+
+  with av.open(str(path)) as container:
+    for frame in container.decode(container.streams.video[0]):
+      yield frame.to_ndarray(format='rgb24')
+
+
 @contextlib.contextmanager
 def open_writer(path: pathlib.Path, frame_rate: float) -> Iterator[Append]:
   """Opens a video for writing; it replaces `path` when complete.

@@ -58,12 +58,28 @@ def test_two_policies_side_by_side(tmp_path: pathlib.Path) -> None:
   assert both._replace(compared=None) == alone
   assert both.compared is not None and both.compared.steps == 10
   assert both.compared.outcomes != alone.outcomes
+  (tmp_path / '1.mp4').rename(tmp_path / 'both.mp4')
+  assert record(compare=tmp_path / '0.mp4') == alone  # A video of before.
+  wide = viewer.RecordingConfig(width=144, height=128)
+  with pytest.raises(ValueError, match='0.mp4 has another size'):
+    viewer.record(
+      'pi2',
+      'idle:0.3',
+      out=tmp_path / 'wide.mp4',
+      config=wide,
+      quiet=True,
+      compare=tmp_path / '0.mp4',
+    )
+  assert not (tmp_path / 'wide.mp4').exists()
   frames = []
-  for name in ('0.mp4', '1.mp4'):
+  for name in ('0.mp4', 'both.mp4', '1.mp4'):
     with av.open(str(tmp_path / name)) as container:
       decoded = container.decode(container.streams.video[0])
       frames.append([frame.to_ndarray(format='rgb24') for frame in decoded])
-  assert {frame.shape for frame in frames[1]} == {(128, 256, 3)}
+  for joined in frames[1:]:
+    assert {frame.shape for frame in joined} == {(128, 256, 3)}
+  twice = np.array(frames[2]).astype(int)
+  assert np.abs(twice[:, :, :128] - twice[:, :, 128:]).mean() < 3
   # The ground below the robot, where no text is.
   left, right = (np.array(frames[1])[:, 96:, x : x + 128] for x in (0, 128))
   single = np.array(frames[0])[:, 96:].astype(int)
