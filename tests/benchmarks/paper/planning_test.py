@@ -5,6 +5,11 @@ import pathlib
 
 from tests.bin import processes
 
+# More beams than one would make no other report.
+_ONE_ATTEMPT = """
+binary.beam_search.BeamConfig.escalation = lambda self: [self]
+"""
+
 
 def test_report(benchmark: processes.Binary, tmp_path: pathlib.Path) -> None:
   out = tmp_path / 'planning.json'
@@ -15,6 +20,7 @@ def test_report(benchmark: processes.Binary, tmp_path: pathlib.Path) -> None:
     '--seeds=2',
     '--random=1',
     f'--out={out}',
+    before=_ONE_ATTEMPT,
   )
   assert done.code == 0, done.stderr
   report = json.loads(out.read_text())
