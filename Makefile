@@ -20,7 +20,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DELETE_ON_ERROR:
-.PHONY: demo test train reproduce retrain lint docs setup clean
+.PHONY: demo test train reproduce retrain lint tests docs setup clean
 
 PYTHON ?= python3
 PYTEST_ARGS ?=
@@ -57,8 +57,12 @@ demo: setup
 	@echo "The videos are modes.mp4 and demo.mp4, the plan is plan.json and" \
 	  "plan.png, all in $(CURDIR)/$(OUT)"
 
+# Side by side: types take one core for a minute, and say a line at the end.
+test: setup
+	$(MAKE) --no-print-directory -j2 lint tests
+
 # A file stays in one process: fixtures of a module are made once.
-test: lint
+tests: setup
 	$(BIN)/python -m pytest -n auto --dist loadfile $(PYTEST_ARGS)
 
 lint: setup
@@ -101,15 +105,16 @@ $(BIN)/python:
 	  exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
-# torch first and apart: a bare `torch` brings gigabytes of CUDA.
+# torch first and apart: a bare `torch` brings gigabytes of CUDA. Most modules
+# are never imported, so that to compile them all would take longer.
+pip = $(BIN)/python -m pip install --quiet --no-compile
 $(VENV)/installed: setup.cfg pyproject.toml | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet $(TORCH)
-	$(BIN)/python -m pip install --quiet -e '.[dev,export,gym]'
+	$(pip) $(TORCH)
+	$(pip) -e '.[dev,export,gym]'
 	@touch $@
 
 $(VENV)/docs: setup.cfg | $(VENV)/installed
-	$(BIN)/python -m pip install --quiet -e '.[docs]'
+	$(pip) -e '.[docs]'
 	@touch $@
 
 # Draws one frame. A machine that cannot still runs what draws nothing.
