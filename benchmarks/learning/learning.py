@@ -33,7 +33,6 @@ import tqdm
 from benchmarks import common
 from benchmarks.learning import learners
 from dmc_multimode.bin import app
-from dmc_multimode.evaluation import episodes as evaluation_episodes
 from dmc_multimode.evaluation import evaluator as evaluator_lib
 from dmc_multimode.evaluation import scores
 from dmc_multimode.experiments import config as run_config
@@ -102,11 +101,11 @@ class _Evaluator(evaluator_lib.Evaluator):
 
   policy: learners.Learner
 
-  def run(
-    self, schedule: schedule_lib.ModeSchedule, label: str
-  ) -> evaluation_episodes.Episodes:
+  def make_worlds(
+    self, schedule: schedule_lib.ModeSchedule
+  ) -> batched_env.BatchedImitation:
     self.policy.begin_episodes()
-    return super().run(schedule, label)
+    return super().make_worlds(schedule)
 
 
 def drive(learner: learners.Learner) -> Lap:
