@@ -1,4 +1,4 @@
-"""Chooses how MuJoCo draws before any test imports dm_control.
+"""Chooses how MuJoCo draws, and on how many threads torch computes.
 
 A test that draws carries `@pytest.mark.gl` and is skipped where nothing can.
 """
@@ -8,6 +8,10 @@ import os
 import pytest
 
 from dmc_multimode.utils import gl
+
+# Before torch is imported, here and in the processes that tests start: threads
+# that wait for each other take the cores from the tests beside them.
+os.environ.setdefault('OMP_NUM_THREADS', '1')
 
 try:
   gl.choose_backend()
