@@ -1,4 +1,4 @@
-"""What libraries learn through the shipped adapters, left as they come.
+"""Trains the PPO of libraries through the shipped adapters, left as it comes.
 
     python -m benchmarks.learning.adapters --out=adapters.json
 
