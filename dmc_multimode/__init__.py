@@ -14,7 +14,6 @@ Modes, policies and tracks are given by name or as objects, files and folders as
 `str` or `os.PathLike`. Importing this module loads nothing but itself.
 """
 
-import dataclasses
 import os
 from typing import Any, Sequence, TYPE_CHECKING
 
@@ -121,7 +120,7 @@ def make_worlds(
   from dmc_multimode.modes import mode_set as mode_set_lib
   from dmc_multimode.suite import multimode_biped
   from dmc_multimode.suite.imitation import batched_env
-  from dmc_multimode.suite.imitation import events
+  from dmc_multimode.suite.imitation import config as task_config
   from dmc_multimode.suite.reaching import environment as reaching_env
 
   if isinstance(modes, mode_set_lib.ModeSet):
@@ -130,7 +129,7 @@ def make_worlds(
     task = multimode_biped.make_modes_task(modes, config=config, arena=arena)
   else:
     policy = reaching_env.load_policy(modes)
-    config = config or dataclasses.replace(policy.config, events=events.NONE)
+    config = config or task_config.evaluated(policy.config)
     task = multimode_biped.make_task(
       policy.mode_set, arena=arena, config=config
     )

@@ -19,7 +19,6 @@ networks' return (`gain`):
       --eval_steps=0,150000
 """
 
-import dataclasses
 import math
 import pathlib
 import sys
@@ -38,7 +37,7 @@ from dmc_multimode.evaluation import scores
 from dmc_multimode.experiments import config as run_config
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import batched_env
-from dmc_multimode.suite.imitation import events
+from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.utils import files
 
 _LEARNERS = flags.DEFINE_list(
@@ -125,7 +124,7 @@ def judge(
   learner: learners.Learner, config: run_config.RunConfig
 ) -> dict[str, Any]:
   """Returns the report of `evaluate` on what has been learned."""
-  task = dataclasses.replace(config.task, events=events.NONE)
+  task = task_config.evaluated(config.task)
   evaluator = _Evaluator(learner, task, config.seed)
   return scores.report(evaluator, _EPISODES, clock_rate=1.0)
 

@@ -10,7 +10,6 @@ times after their starts, when settled, over that of their references: 1 where
 the modes differ as they should, 0 where they are one.
 """
 
-import dataclasses
 import functools
 import pathlib
 from typing import Any, Sequence
@@ -25,7 +24,7 @@ from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.evaluation import evaluator as evaluator_lib
 from dmc_multimode.evaluation import figures
 from dmc_multimode.modes import schedule as schedule_lib
-from dmc_multimode.suite.imitation import events
+from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import files
 
@@ -55,9 +54,7 @@ def profiles(
   Heights are over the support, metres, of the robot and of the reference,
   [M, T] each; a robot that falls counts where it lies.
   """
-  config = dataclasses.replace(
-    policy.config, events=events.NONE, limits=terminations.NO_LIMITS
-  )
+  config = task_config.evaluated(policy.config, limits=terminations.NO_LIMITS)
   ids = np.repeat([policy.mode_set.index(name) for name in modes], episodes)
   evaluator = evaluator_lib.Evaluator(policy, config, seed, quiet=True)
   found = evaluator.run(schedule_lib.single(ids), 'profiles')

@@ -29,7 +29,6 @@ from dmc_multimode.experiments import symmetry
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import config as task_config
-from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import files
@@ -160,7 +159,7 @@ def main(argv: Sequence[str]) -> None:
   unimodal = [pretrained.load(name) for name in (_BEFORE.value, _AFTER.value)]
   switched = HardSwitch(unimodal)
   first, second = switched.mode_set.names
-  config = dataclasses.replace(multimodal.config, events=events.NONE)
+  config = task_config.evaluated(multimodal.config)
   policies: dict[str, evaluator_lib.Policy] = {
     _POLICY.value: multimodal,
     f'{_BEFORE.value}, {_AFTER.value}': switched,

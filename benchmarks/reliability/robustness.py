@@ -5,12 +5,11 @@
 
 Everything is judged by the code of `dmc_multimode.evaluation`, each case
 apart: the physics in finer steps than in training; the edges of blocks nearer
-or farther than the references have them; all masses and inertias, or all
-sliding friction, higher or lower; pushes, which change the trunk's velocity by
-0.3 m/s in a random horizontal direction once a second; obstacles, which every
-command meets that can: gaps under leaps, other blocks, ledges ahead of gaits;
-weaker servos; a slope, which is gravity that is tilted; and bumps of the
-ground.
+or farther than the references have them; the disturbances that `evaluate` fixes
+by its flags, with the same meaning; weaker servos; pushes, which change the
+trunk's velocity in a random horizontal direction once a second; obstacles,
+which every command meets that can: gaps under leaps, other blocks, ledges ahead
+of gaits; and bumps of the ground.
 
 MRA and survival are those of `evaluate`. Where nothing but a fall ends an
 episode, `did not fall` is the share of robots, one mode each, that stay up for
@@ -21,7 +20,7 @@ import dataclasses
 import functools
 import itertools
 import pathlib
-from typing import Mapping, Sequence
+from typing import Any, Mapping, Sequence
 
 from absl import flags
 import mujoco
@@ -61,8 +60,8 @@ _FALL_EPISODES = flags.DEFINE_integer(
 )
 
 _FALL_COLUMNS = (
-  '=name | policy | did not fall=upright:.3f | worst mode=worst_upright:.3f | '
-  'which=worst_fall'
+  '=name | policy | did not fall=upright:.3f | '
+  'in the worst=worst_upright:.3f | the worst mode=worst_fall'
 )
 _COLUMNS = (
   f'{_FALL_COLUMNS} | MRA modes=mra_modes:.3f | '
@@ -77,27 +76,29 @@ class Case:
   """Makes it harder.
 
   Attributes:
-    physics_timestep: seconds; that of the training if None.
+    physics_timestep: seconds; that of the policy's task if None.
     edge: how much farther edges are, metres.
-    mass, friction: factors of all.
-    push: m/s, once a second.
+    push: least and largest velocity of a push a second, m/s.
     obstacles: share of the commands that meet one.
     torque_limit: of the servos, Nm; that of the robot if None.
-    slope: uphill, degrees.
     bumps: greatest height of bumps, metres.
+    disturbed: arguments of `events.fixed`.
   """
 
   physics_timestep: float | None = None
   edge: float = 0.0
-  mass: float = 1.0
-  friction: float = 1.0
-  push: float = 0.0
+  push: tuple[float, float] = (0.0, 0.0)
   obstacles: float = 0.0
   torque_limit: float | None = None
-  slope: float = 0.0
   bumps: float = 0.0
+  disturbed: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
 
+def _disturbed(**rows: float) -> Case:
+  return Case(disturbed=rows)
+
+
+_SLOPE = float(np.deg2rad(5.0))
 CASES: Mapping[str, Case] = {
   'as trained': Case(),
   '5 ms': Case(physics_timestep=0.005),
@@ -105,16 +106,27 @@ CASES: Mapping[str, Case] = {
   '1 ms': Case(physics_timestep=0.001),
   'edge 6 cm nearer': Case(edge=-0.06),
   'edge 6 cm farther': Case(edge=0.06),
-  'mass -10 %': Case(mass=0.9),
-  'mass +10 %': Case(mass=1.1),
-  'friction -10 %': Case(friction=0.9),
-  'friction +10 %': Case(friction=1.1),
-  'pushes': Case(push=0.3),
-  'obstacles': Case(obstacles=1.0),
+  'mass -10 %': _disturbed(mass=0.9),
+  'mass +10 %': _disturbed(mass=1.1),
+  'payload 2 kg': _disturbed(payload=2.0),
+  'friction 0.3': _disturbed(friction=0.3),
+  'friction 0.4': _disturbed(friction=0.4),
+  'friction 0.5': _disturbed(friction=0.5),
+  'friction -10 %': _disturbed(friction=0.81),
+  'friction +10 %': _disturbed(friction=0.99),
+  'gains and torque 80 %': _disturbed(motor_strength=0.8),
   'torque limit 18 Nm': Case(torque_limit=18.0),
-  'slope 5 degrees': Case(slope=5.0),
-  'slope -5 degrees': Case(slope=-5.0),
+  'delay 10 ms': _disturbed(action_delay=0.01),
+  'delay 20 ms': _disturbed(action_delay=0.02),
+  'delay 30 ms': _disturbed(action_delay=0.03),
+  'sensor noise': _disturbed(sensor_noise=1.0),
+  'pushes': Case(push=(0.3, 0.3)),
+  'pushes 0.5 m/s': Case(push=(0.5, 0.5)),
+  'pushes 0.5 to 1.0 m/s': Case(push=(0.5, 1.0)),
+  'slope 5 degrees': _disturbed(slope=_SLOPE),
+  'slope -5 degrees': _disturbed(slope=-_SLOPE),
   'bumps of 3 cm': Case(bumps=0.03),
+  'obstacles': Case(obstacles=1.0),
 }
 _BUMP, _BUMPS = 0.3, 24  # Length in metres, and their number.
 
@@ -151,16 +163,9 @@ class Worlds(batched_env.BatchedImitation):
       ),
     )
     model = mujoco_worlds.compile_model(task)
-    model.body_mass *= case.mass
-    model.body_inertia *= case.mass
-    model.geom_friction[:, 0] *= case.friction
     if case.torque_limit is not None:
       limit = case.torque_limit
       model.actuator_forcerange[:] = -limit, limit
-    tilt = np.deg2rad(case.slope)
-    gravity = np.linalg.norm(model.opt.gravity)
-    model.opt.gravity[:] = -gravity * np.sin(tilt), 0, -gravity * np.cos(tilt)
-    mujoco.mj_setConst(model, mujoco.MjData(model))
     super().__init__(task, len(schedule), seed, auto_reset=False, model=model)
 
   def step(self, actions: npt.ArrayLike) -> batched_env.BatchedTimeStep:
@@ -169,7 +174,9 @@ class Worlds(batched_env.BatchedImitation):
     if not self._steps % round(_PUSH_PERIOD / self.control_timestep):
       angle = self._pushes.uniform(0, 2 * np.pi, self.num_worlds)
       direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-      self.qvel[:, :2] += self._case.push * direction
+      low, high = self._case.push
+      shares = self._pushes.uniform(size=(self.num_worlds, 1))
+      self.qvel[:, :2] += (low + shares * (high - low)) * direction
     return super().step(actions)
 
 
@@ -202,11 +209,10 @@ class Evaluator(evaluator_lib.Evaluator):
 
   def __init__(self, case: Case, policy: pretrained.Policy, seed: int):
     """Evaluates `policy` from rest."""
-    config = dataclasses.replace(policy.config, events=events.NONE)
+    changes: dict[str, Any] = {'events': events.fixed(**case.disturbed)}
     if case.physics_timestep is not None:
-      config = dataclasses.replace(
-        config, physics_timestep=case.physics_timestep
-      )
+      changes['physics_timestep'] = case.physics_timestep
+    config = task_config.evaluated(policy.config, **changes)
     super().__init__(policy, config, seed, quiet=True)
     self._case = case
 

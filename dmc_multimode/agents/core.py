@@ -107,6 +107,10 @@ class BatchedTimeStep(Protocol):
   def results(self) -> EpisodeResults:
     """The N episodes that ended."""
 
+  @property
+  def transitions(self) -> Outcomes:
+    """The transitions that ended, see `BatchedEnvironment.learn`."""
+
 
 class BatchedEnvironment(Protocol):
   """B worlds that reset themselves at the end of an episode."""

@@ -111,6 +111,7 @@ class TrainingLoop:
     """Fills the buffers with one rollout of every world."""
     data, seen = self._buffers, self._observation
     steps, table = self.steps, statistics.EpisodeTable()
+    transitions = statistics.EpisodeTable()
     for t in range(self._length):
       sample = self._actor.sample(seen, steps)
       step = self._environment.step(sample.action.numpy())
@@ -129,6 +130,7 @@ class TrainingLoop:
         torch.from_numpy(step.final_observation[timed_out])
       )
       table.add(t, step.results)
+      transitions.add(t, step.transitions)
     self._observation = seen
     self.iterations += 1
     episodes = table.gather(self._communicator)
@@ -136,7 +138,7 @@ class TrainingLoop:
     self._diverged.update(int(diverged.sum()), self.steps - steps)
     self._returns.update(episodes)
     if self._communicator.size > 1:
-      self._environment.learn(episodes)
+      self._environment.learn(transitions.gather(self._communicator))
 
   def run(
     self,

@@ -3,8 +3,10 @@
 python -m dmc_multimode.bin.evaluate --policy=quickstart --out=report.json
 
 --html=report.html writes a page with tables, a heat map of the transitions,
-figures, and a short video of every mode. Under `torchrun` in place of `python`,
-several processes share the episodes.
+figures, and a short video of every mode, which nothing disturbs. --payload=2,
+--action_delay=0.03 and their like fix the disturbances of all robots, one by
+one. Under `torchrun` in place of `python`, several processes share the
+episodes.
 """
 
 import functools
@@ -23,6 +25,7 @@ from dmc_multimode.viewer import gl
 
 if TYPE_CHECKING:
   from dmc_multimode import pretrained
+  from dmc_multimode.suite.imitation import events
 
 _POLICY = config_flags.define_path(
   'policy', None, 'Name of a shipped policy, or a folder.', required=True
@@ -58,6 +61,7 @@ _SWITCHING = flags.DEFINE_bool(
 _SWITCHING_EPISODES = flags.DEFINE_integer(
   'switching_episodes', 256, 'Robots of each kind of --switching.', 1
 )
+config_flags.define_disturbances()
 
 
 def _rates() -> list[float]:
@@ -89,7 +93,7 @@ def _evaluate(no_videos: str, communicator: distributed.Communicator) -> None:
   out = files.output_file('out', _OUT.value)
   page = files.output_file('html', _HTML.value)
   folder = files.output_folder('figures', _FIGURES.value)
-  rates = _rates()
+  rates, disturbed = _rates(), _disturbed()
   policy = pretrained.load(_POLICY.value)
   encoder_seed = _encoder_seed(_POLICY.value)
   values = scores.evaluate(
@@ -102,10 +106,18 @@ def _evaluate(no_videos: str, communicator: distributed.Communicator) -> None:
     communicator=communicator,
     switching_episodes=_SWITCHING.value * _SWITCHING_EPISODES.value,
     with_motion=_MOTION.value,
+    disturbed=disturbed,
   )
   values['provenance']['encoder_seed'] = encoder_seed
   if communicator.rank == 0:
     _report(policy, values, out, page, folder, no_videos)
+
+
+def _disturbed() -> 'events.TrainingEvents':
+  """Returns the events by the flags of disturbances."""
+  from dmc_multimode.suite.imitation import events
+
+  return events.fixed(**config_flags.given_disturbances())
 
 
 def _encoder_seed(name: str) -> int | None:
@@ -140,7 +152,9 @@ def _report(
     print(f'The report is in {out}')
   if not (folder or page):
     return
-  evaluator = scores.make_evaluator(policy, _SEED.value, _TIMESTEP.value)
+  evaluator = scores.make_evaluator(
+    policy, _SEED.value, _TIMESTEP.value, disturbed=_disturbed()
+  )
   drawn = report.draw(evaluator, values)
   if folder:
     for name, figure in drawn.items():

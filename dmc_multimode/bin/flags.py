@@ -62,6 +62,20 @@ RENAMED = {
 # Former names of flags without a replacement -> the reason, for the error.
 REMOVED = {'ppo_compile': 'torch.compile made trainings no faster'}
 
+# Flags that fix disturbances, see `events.fixed` -> help. The suite, which has
+# the table, cannot be imported before a backend of OpenGL is chosen.
+DISTURBANCES = {
+  'action_delay': 'From an action to the servos, seconds; 0.03 is hard.',
+  'friction': 'Of feet and ground; 0.9 is nominal.',
+  'mass': 'Factor of all masses.',
+  'payload': 'Mass added to the trunk, kg.',
+  'centre_of_mass': "Forward shift of the trunk's, metres.",
+  'motor_strength': "Factor of the servos' gains and torque limits.",
+  'slope': 'Of the ground, up along x, radians.',
+  'push_speed': 'Largest velocity of random pushes, m/s.',
+  'sensor_noise': 'Of observations; 1 is that of real sensors.',
+}
+
 
 class _PathParser(flags.ArgumentParser):
   """Parser of a flag for a file or folder, or for a name in its place."""
@@ -117,6 +131,7 @@ class _Parser(flags.ArgumentParser):
     while typing.get_origin(plain) is typing.Annotated:
       plain = typing.get_args(plain)[0]
     self._is_list = typing.get_origin(plain) is tuple
+    self._is_of_names = self._is_list and typing.get_args(plain)[0] is str
     is_schedule = plain is schedule.Schedule
     self.syntactic_help = 'FIRST[:LAST][@START[:END]]' if is_schedule else ''
     self._adapter = pydantic.TypeAdapter(
@@ -127,7 +142,9 @@ class _Parser(flags.ArgumentParser):
   def parse(self, argument: Any) -> Any:
     """Returns the value; raises ValueError if the field refuses it."""
     if self._is_list and isinstance(argument, str):
-      argument = argument.split(',')
+      # No names are a list; no number is an error.
+      is_empty = self._is_of_names and not argument
+      argument = [] if is_empty else argument.split(',')
     try:
       return self._adapter.validate_python(argument)
     except pydantic.ValidationError as error:
@@ -176,6 +193,18 @@ def read(config: Any, prefix: str) -> Any:
     return dataclasses.replace(config, **changes)
   except ValueError as error:
     raise ValueError(f'--{prefix}_*: {error}') from error
+
+
+def define_disturbances() -> None:
+  """Defines a flag for each of `DISTURBANCES`."""
+  for name, text in DISTURBANCES.items():
+    flags.DEFINE_float(name, None, text)
+
+
+def given_disturbances() -> dict[str, float]:
+  """Returns the values of the disturbances whose flags are given."""
+  values = {name: FLAGS[name].value for name in DISTURBANCES}
+  return {name: value for name, value in values.items() if value is not None}
 
 
 def given(config: Any, prefix: str) -> dict[str, Any]:

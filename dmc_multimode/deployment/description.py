@@ -5,7 +5,7 @@ explains it. Sizes, units, frames, gains and bounds are those that the task and
 the compiled model have.
 """
 
-from typing import Any, Mapping
+from typing import Any, Iterable, Mapping
 
 import mujoco
 import numpy as np
@@ -15,6 +15,7 @@ from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import mujoco_worlds
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.utils import constants
@@ -32,6 +33,10 @@ FORMULAS: Mapping[str, str] = {
   'velocity': 'transpose(R(o)) dp/dt',
   'angular_velocity': 'omega, as a gyroscope in the trunk measures it',
   'joints_vel': 'dq/dt',
+  'displacement': 'clip(Rz(-heading) (p - reference), -0.5, 0.5), x and y: '
+  'odometry since the command, less the way of the reference',
+  'clock_rate': 'rate of the clock; 1 is as the modes say',
+  'previous_action': 'the action before; at the start q',
 }
 _CLOCK: Mapping[str, Any] = {
   'start': 'phase = 0, heading = 0: the first mode',
@@ -49,17 +54,20 @@ _TORQUE = 'clip(stiffness (action - q) - damping dq/dt, -limit, limit)'
 
 def describe(policy: pretrained.Policy) -> dict[str, Any]:
   """Returns the description of a policy, JSON values."""
+  config = task_config.evaluated(policy.config)
   model = mujoco_worlds.compile_model(
-    multimode_biped.make_task(policy.mode_set, config=policy.config)
+    multimode_biped.make_task(policy.mode_set, config=config)
   )
   return {
     'format': FORMAT,
     'model': {'input': 'observation', 'output': 'action'},
-    'control_timestep': policy.config.control_timestep,
-    'physics_timestep': policy.config.physics_timestep,
+    'control_timestep': config.control_timestep,
+    'physics_timestep': config.physics_timestep,
     'modes': _modes(policy.mode_set),
     'clock': dict(_CLOCK),
-    'observation': parts(policy.mode_set.latent_dim),
+    'observation': parts(
+      policy.mode_set.latent_dim, policy.config.extra_observations
+    ),
     'frames': dict(observations.FRAMES),
     'quaternion': {'order': 'w, x, y, z', 'sign': 'w >= 0', 'norm': 1.0},
     'joints': list(mini_biped.JOINTS),
@@ -72,11 +80,18 @@ def describe(policy: pretrained.Policy) -> dict[str, Any]:
   }
 
 
-def parts(latent_dim: int) -> list[dict[str, Any]]:
-  """Returns the parts of the observation in their order."""
+def parts(latent_dim: int, extra: Iterable[str] = ()) -> list[dict[str, Any]]:
+  """Returns the parts of the observation in their order.
+
+  Args:
+    latent_dim: n_m.
+    extra: names of the parts beyond the paper's.
+  """
   found: list[dict[str, Any]] = []
   for term, (name, size) in zip(
-    observations.POLICY_TERMS, observations.layout(latent_dim), strict=True
+    observations.terms(extra=extra),
+    observations.layout(latent_dim, extra=extra),
+    strict=True,
   ):
     found.append(
       {

@@ -4,7 +4,6 @@ MRA is the mean normalised return of Krishna and Nguyen, Table II: the share of
 the highest reward that an episode earns, 1 being the most.
 """
 
-import dataclasses
 import itertools
 import os
 from typing import Any, Sequence
@@ -38,6 +37,7 @@ def evaluate(
   communicator: distributed.Communicator = distributed.LOCAL,
   switching_episodes: int = 0,
   with_motion: bool = True,
+  disturbed: events.TrainingEvents = events.NONE,
 ) -> dict[str, Any]:
   """Evaluates every mode and every transition, deterministically.
 
@@ -53,6 +53,7 @@ def evaluate(
     communicator: of the ranks, which share the episodes.
     switching_episodes: of random switches, see `switching.evaluate`.
     with_motion: measures how the modes move, see `motion.evaluate`.
+    disturbed: what happens to all robots, see `events.fixed`.
 
   Returns:
     JSON values: those of `report`, what is asked for besides, and the policy's
@@ -69,7 +70,7 @@ def evaluate(
   if isinstance(policy, (str, os.PathLike)):
     policy = pretrained.load(policy)
   evaluator = make_evaluator(
-    policy, seed, physics_timestep, quiet, communicator
+    policy, seed, physics_timestep, quiet, communicator, disturbed
   )
   values = report(evaluator, episodes, clock_rate)
   if with_motion:
@@ -92,11 +93,13 @@ def make_evaluator(
   physics_timestep: float | None = None,
   quiet: bool = False,
   communicator: distributed.Communicator = distributed.LOCAL,
+  disturbed: events.TrainingEvents = events.NONE,
 ) -> evaluator_lib.Evaluator:
   """Returns the evaluator of a policy on its own task; see `evaluate`."""
-  config = dataclasses.replace(policy.config, events=events.NONE)
+  changes: dict[str, Any] = {'events': disturbed}
   if physics_timestep is not None:
-    config = dataclasses.replace(config, physics_timestep=physics_timestep)
+    changes['physics_timestep'] = physics_timestep
+  config = task_config.evaluated(policy.config, **changes)
   return evaluator_lib.Evaluator(policy, config, seed, quiet, communicator)
 
 
@@ -210,7 +213,6 @@ def evaluate_transitions(
       final,
       cases[:, 2],
       cases[:, 3],
-      evaluator.config.commands_from_ground,
     ),
     'transitions',
   )

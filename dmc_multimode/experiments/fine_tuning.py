@@ -146,6 +146,12 @@ class Start:
           f'--ppo_{field}: the weights of {self.name} are taken over, and it '
           f'has {value}.'
         )
+    mine = self.policy.config.extra_observations
+    if config.task.extra_observations != mine:
+      raise ValueError(
+        f'--task_extra_observations={",".join(mine)}: {self.name} observes '
+        f'{"these" if mine else "none"} beyond the paper.'
+      )
     if config.one_hot:
       raise ValueError(f'--one_hot: {self.name} knows modes by their latents.')
     size, latent_dim = observations.size, self.policy.mode_set.latent_dim

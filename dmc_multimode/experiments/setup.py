@@ -125,9 +125,7 @@ def _make_environment(
   """Returns this rank's worlds, with episodes of Algorithm 1."""
   task = multimode_biped.make_task(
     mode_set,
-    episodes.TransitionEpisodes(
-      mode_set, config.sampling, config.task.commands_from_ground
-    ),
+    episodes.TransitionEpisodes(mode_set, config.sampling),
     track.make(
       'flat',
       _OBSTACLE_SEGMENTS

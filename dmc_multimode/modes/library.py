@@ -12,6 +12,8 @@ from dmc_multimode.utils import constants
 from dmc_multimode.utils import resources
 
 _WALK_DURATION = 0.6  # Seconds of a stride, one step of each foot.
+# Phases of a stride: both feet stand for a tenth of it.
+_STEP_PHASES = np.array([0.0, 0.025, 0.475, 0.525, 0.975, 1.0])
 _WALK_SPEEDS = {  # m/s; forward covers the 2 m of Table III in 3.3 s.
   'forward': 0.6,
   'backward': 0.4,
@@ -74,7 +76,11 @@ def _idle() -> motion_lib.ReferenceMotion:
 
 
 def _level(
-  name: str, direction: str, contacts: np.ndarray, in_sync: bool
+  name: str,
+  direction: str,
+  phases: np.ndarray,
+  contacts: np.ndarray,
+  in_sync: bool,
 ) -> motion_lib.ReferenceMotion:
   """Returns a motion of constant height and speed, such as walk and hop."""
   distance = _WALK_SPEEDS[direction] * _WALK_DURATION
@@ -82,7 +88,6 @@ def _level(
     distance * np.array(_DIRECTIONS[direction]), constants.STAND_HEIGHT
   )
   start = np.array([0.0, 0.0, constants.STAND_HEIGHT])
-  phases = np.linspace(0.0, 1.0, len(contacts))
   return motion_lib.ReferenceMotion(
     name=f'{name}_{direction}',
     kind=motion_lib.PERIODIC,
@@ -97,13 +102,21 @@ def _level(
 
 
 def _walk(direction: str) -> motion_lib.ReferenceMotion:
-  contacts = np.array([[1, 0], [0, 1], [0, 1]])  # Left, then right stance.
-  return _level('walk', direction, contacts, in_sync=False)
+  # Left, then right stance.
+  contacts = _stepping((1, 0), (0, 1))
+  return _level('walk', direction, _STEP_PHASES, contacts, in_sync=False)
+
+
+def _stepping(first: Sequence[int], second: Sequence[int]) -> np.ndarray:
+  """Returns contacts at `_STEP_PHASES`: two stances, and both feet between."""
+  both = (1, 1)
+  return np.array([both, first, both, second, both, both])
 
 
 def _hop(direction: str) -> motion_lib.ReferenceMotion:
   contacts = np.array([[1, 1], [1, 1], [0, 0], [0, 0]])  # Flight: a third.
-  return _level('hop', direction, contacts, in_sync=True)
+  phases = np.linspace(0.0, 1.0, len(contacts))
+  return _level('hop', direction, phases, contacts, in_sync=True)
 
 
 def _leap(direction: str) -> motion_lib.ReferenceMotion:
@@ -125,15 +138,17 @@ def _leap(direction: str) -> motion_lib.ReferenceMotion:
 def _turn(side: str) -> motion_lib.ReferenceMotion:
   """Returns a turn on the spot, the inner foot first."""
   sign = {'left': 1.0, 'right': -1.0}[side]
-  halves = sign * _TURN * np.array([0.0, 0.5, 1.0]) / 2
-  zeros = np.zeros(3)
-  contacts = np.array([[0, 1], [1, 0], [1, 0]])
+  halves = sign * _TURN * _STEP_PHASES / 2
+  zeros = np.zeros(len(halves))
+  contacts = _stepping((0, 1), (1, 0))
   return motion_lib.ReferenceMotion(
     name=f'turn_{side}',
     kind=motion_lib.PERIODIC,
     duration=_WALK_DURATION,
-    phases=np.array([0.0, 0.5, 1.0]),
-    positions=np.tile([0.0, 0.0, constants.STAND_HEIGHT], (3, 1)),
+    phases=_STEP_PHASES,
+    positions=np.tile(
+      [0.0, 0.0, constants.STAND_HEIGHT], (len(_STEP_PHASES), 1)
+    ),
     orientations=np.stack([np.cos(halves), zeros, zeros, np.sin(halves)], 1),
     contacts=contacts if side == 'left' else contacts[:, ::-1],
     mirror=f'turn_{_MIRRORED[side]}',

@@ -46,6 +46,8 @@ class ReferenceBank:
     self.durations = np.array([m.duration for m in motions])
     self.periodic = np.array([m.kind == motion_lib.PERIODIC for m in motions])
     self.transient = np.array([m.kind == motion_lib.TRANSIENT for m in motions])
+    self.steady = np.array([m.kind == motion_lib.STEADY for m in motions])
+    self.base_heights = np.array([m.positions[0, 2] for m in motions])
     self.takeoffs = np.array([m.takeoff for m in motions])
     self.has_contacts = np.array([m.contacts is not None for m in motions])
     self._stack_keyframes()
@@ -104,10 +106,19 @@ class ReferenceBank:
     self.turns = np.where(
       self.periodic, motion_lib.yaw(ends) - motion_lib.yaw(starts), 0.0
     )
+    self.flies = self.periodic & airborne.any(axis=1)
+    # Modes that travel without a flight.
+    self.level = ~self.flies & (np.abs(self.displacements[:, :2]).sum(1) > 0)
+    self.straight = (
+      self.gaits & ~self._turning & (self.displacements[:, 1] == 0)
+    )
     self._velocities = self._keyframe_velocities()
 
   def grounded(
-    self, modes: np.ndarray, phases: np.ndarray, push_off: float = 0.0
+    self,
+    modes: np.ndarray,
+    phases: np.ndarray,
+    push_off: float | np.ndarray = 0.0,
   ) -> np.ndarray:
     """Postpones phases in a flight to its touch-down, [B].
 
@@ -117,7 +128,8 @@ class ReferenceBank:
     Args:
       modes: mode indices, [B].
       phases: phases in [0, 1], [B].
-      push_off: seconds before a take-off that count as its flight.
+      push_off: seconds at clock rate 1 before a take-off that count as its
+        flight; one for all or for each, [B].
     """
     keyframe, _ = self._locate(modes, phases)
     flight = self._flights[keyframe]

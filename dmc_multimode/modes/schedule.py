@@ -51,6 +51,11 @@ class ModeSchedule:
   def __len__(self) -> int:
     return len(self.modes)
 
+  def last_modes(self) -> np.ndarray:
+    """Returns the index of each schedule's last mode, [B]."""
+    last = np.isfinite(self.starts).sum(axis=1) - 1
+    return self.modes[np.arange(len(last)), last]
+
   def start_steps(self, control_timestep: float) -> np.ndarray:
     """Returns the starts as control steps, [B, K]; unused ones are int max."""
     return durations_lib.steps(self.starts, control_timestep)
@@ -69,37 +74,31 @@ def transitions(
   final: np.ndarray,
   clips: np.ndarray,
   phases: np.ndarray,
-  commands_from_ground: bool = True,
+  clock_rate: np.ndarray | None = None,
 ) -> ModeSchedule:
   """Returns the episodes of Algorithm 1: m_i until t_s, then m_f.
 
-  With the clip's duration T_i of the initial mode,
+  With the clip's duration T_i of the initial mode at its clock rate,
 
       t_s = (clip_s + phi_s) T_i,  clip_s ~ U{0, 1}, phi_s ~ U{.25, .5, .75}
 
-  (Krishna and Nguyen, Algorithm 1). A robot cannot follow a new command in
-  flight, nor while it pushes off, in the last `PUSH_OFF` seconds before a
-  take-off. Therefore such a command is postponed to the touch-down and, in a
-  mode with a take-off, to the end of the mode.
+  (Krishna and Nguyen, Algorithm 1). A mode with a take-off is not left before
+  its touch-down. Whether a command that falls into a flight waits for the
+  ground is up to the task; see `ImitationConfig.commands_from_ground`.
 
   Args:
     mode_set: the modes.
     initial, final: mode indices, [B].
     clips, phases: clip_s and phi_s, [B].
-    commands_from_ground: if false, commands are not postponed, except that a
-      mode with a take-off is not left before its touch-down.
+    clock_rate: of the phase clocks, [B]; 1 by default.
   """
+  rates = np.ones(len(initial)) if clock_rate is None else clock_rate
   bank = mode_set.bank
-  cycles, earliest = clips + phases, bank.touchdowns[initial]
-  if commands_from_ground:
-    then = np.where(bank.transient[initial], np.minimum(cycles, 1.0), phases)
-    cycles = cycles + bank.grounded(initial, then, PUSH_OFF) - then
-    earliest = np.where(earliest > 0, 1.0, 0.0)
-  cycles = np.maximum(cycles, earliest)
-  switch = cycles * bank.durations[initial]
+  cycles = np.maximum(clips + phases, bank.touchdowns[initial])
+  switch = cycles * bank.durations[initial] / rates
   modes = np.stack([initial, final], axis=1).astype(np.int64)
   starts = np.stack([np.zeros(len(switch)), switch], axis=1)
-  return ModeSchedule(modes, starts, np.ones(len(switch)))
+  return ModeSchedule(modes, starts, rates)
 
 
 def from_knots(

@@ -28,7 +28,7 @@ from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.pretrained import folder as folder_lib
 from dmc_multimode.suite.imitation import config as task_config
-from dmc_multimode.suite.imitation import observations
+from dmc_multimode.suite.imitation import observations as task_observations
 from dmc_multimode.utils import arrays
 from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import files
@@ -40,7 +40,7 @@ RUN_SUBFOLDER = folder_lib.RUN_SUBFOLDER
 
 _FORMAT = folder_lib.FORMAT
 _MAX_UNITS = 4096
-_NUM_ACTIONS = observations.NUM_JOINTS
+_NUM_ACTIONS = task_observations.NUM_JOINTS
 MakeNetwork = Callable[[int, int, int], networks.ActorCritic]
 
 
@@ -72,7 +72,10 @@ class Policy:
   @functools.cached_property
   def actor(self) -> acting.FeedForwardActor:
     """Returns an actor for one dm_env environment, deterministic."""
-    return acting.FeedForwardActor(self.network)
+    layout = task_observations.layout(
+      self.mode_set.latent_dim, extra=self.config.extra_observations
+    )
+    return acting.FeedForwardActor(self.network, [name for name, _ in layout])
 
   @torch.no_grad()
   def select_action(self, observations: np.ndarray) -> np.ndarray:
@@ -190,7 +193,10 @@ def _untrained(description: dict[str, Any]) -> Policy:
   ):
     raise ValueError(f'hidden sizes {hidden} are out of bounds.')
   mode_set = mode_files.mode_set_from_dict(description)
-  size = observations.size(mode_set.latent_dim)
+  config = task_config.from_dict(description['task'])
+  size = task_observations.size(
+    mode_set.latent_dim, extra=config.extra_observations
+  )
   activation = description.get('activation', 'elu')  # As it once was.
   if activation not in networks.ACTIVATIONS:
     raise ValueError(f'activation {activation!r} is unknown.')
@@ -209,7 +215,7 @@ def _untrained(description: dict[str, Any]) -> Policy:
     network,
     hidden,
     mode_set,
-    task_config.from_dict(description['task']),
+    config,
     dict(description.get('provenance', {})),
   )
 

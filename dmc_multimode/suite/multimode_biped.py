@@ -77,10 +77,7 @@ def make_task(
     arena = track.make(arena)
   config = config or task_config.ImitationConfig()
   if episodes is None:
-    episodes = episodes_lib.TransitionEpisodes(
-      mode_set,
-      commands_from_ground=config.commands_from_ground,
-    )
+    episodes = episodes_lib.TransitionEpisodes(mode_set)
   return composer_task.Imitation(
     mini_biped.MiniBiped(),
     arena,

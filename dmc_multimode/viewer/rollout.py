@@ -16,7 +16,6 @@ from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import composer_task
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes
-from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import durations
@@ -288,14 +287,13 @@ def _task_config(
 ) -> task_config.ImitationConfig:
   """Returns the policy's task, from rest and as long as the schedule."""
   changes: dict[str, Any] = {
-    'events': events.NONE,
     'time_limit': sum(rollout.durations),
   }
   if rollout.physics_timestep is not None:
     changes['physics_timestep'] = rollout.physics_timestep
   if not rollout.terminate:
     changes['limits'] = terminations.NO_LIMITS
-  return dataclasses.replace(config, **changes)
+  return task_config.evaluated(config, **changes)
 
 
 def _make_arena(config: RolloutConfig) -> track.Track:

@@ -5,7 +5,6 @@ from one thread. A search for a plan runs in its own thread.
 """
 
 from concurrent import futures
-import dataclasses
 import threading
 from typing import NamedTuple, Sequence
 
@@ -18,8 +17,8 @@ from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import solver
 from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes
-from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.suite.reaching import problem as reaching
 from dmc_multimode.utils import durations
@@ -157,11 +156,7 @@ class LiveSession:
       # The same initial state as in a search.
       episodes.ScheduledEpisodes(schedule_lib.single(np.zeros(1))),
       track.make(name, _SEGMENTS),
-      dataclasses.replace(
-        self._policy.config,
-        events=events.NONE,
-        limits=terminations.NO_LIMITS,
-      ),
+      task_config.evaluated(self._policy.config, limits=terminations.NO_LIMITS),
     )
     limits = terminations.falls_alone(self._policy.config.limits)
     self.robot = rollout.Robot(self._policy, task, limits, seed)

@@ -36,6 +36,11 @@ class TimeStep(NamedTuple):
   final_observation: np.ndarray
   results: Results
 
+  @property
+  def transitions(self) -> Results:
+    """The episodes, of one transition each."""
+    return self.results
+
 
 class TargetEnvironment:
   """Rewards actions near a target: -|a - target(observation)|^2.

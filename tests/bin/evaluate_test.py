@@ -119,6 +119,9 @@ def test_clock_rates_and_figures(
     '--switching',
     '--switching_episodes=2',
     '--nomotion',
+    '--action_delay=0.02',
+    '--friction=0.4',
+    '--push_speed=1',
     f'--out={out}',
     f'--figures={folder}',
   )
@@ -126,6 +129,10 @@ def test_clock_rates_and_figures(
   report = json.loads(out.read_text())
   assert report['switching']['episodes'] == 2 and 'motion' not in report
   assert 'switches, from_ground: survival' in done.stdout
+  events = report['task']['events']
+  assert events['disturbances']['friction'] == [0.4, 0.4]
+  assert events['disturbances']['action_delay'] == [0.02, 0.02]
+  assert events['push_speed']['last'] == 1
   rates = report['clock_rates']
   assert list(rates) == ['1', '2.5']
   for rate, row in rates.items():
@@ -149,6 +156,7 @@ def test_clock_rates_and_figures(
     (['--physics_timestep=0.007'], 'physics_timestep'),
     (['--clock_rates=1,0'], 'clock_rates must be positive'),
     (['--clock_rates=fast'], "'fast'"),
+    (['--friction=-1'], 'friction is at least 0'),
     (['--html={tmp}/new/report.html', '--episodes=0'], 'episodes'),
     (['--figures={tmp}/file'], 'file'),
   ],

@@ -130,7 +130,15 @@ def test_the_example_senses_what_the_task_observes() -> None:
     seen = example.sense(types.SimpleNamespace(qpos=qpos, qvel=qvel), 0.4)
     zero = np.zeros(1)
     view = observations.policy_view(
-      qpos[None], qvel[None], zero + 0.4, zero, zero, np.zeros((1, 4))
+      qpos[None],
+      qvel[None],
+      zero + 0.4,
+      zero,
+      zero,
+      np.zeros((1, 4)),
+      displacement=np.zeros((1, 2)),
+      clock_rate=zero + 1,
+      actions=np.zeros((1, 3, 10)),
     )
     observed = observations.observe(view)
     assert {*seen, 'clock', 'command'} == set(observed)
@@ -140,7 +148,7 @@ def test_the_example_senses_what_the_task_observes() -> None:
 
 def test_the_document_has_the_parts() -> None:
   text = (_ROOT / 'docs' / 'DEPLOY.md').read_text()
-  for part in description.parts(4):
+  for part in description.parts(4, observations.EXTRA_NAMES):
     cells = (part[key] for key in ('size', 'unit', 'frame', 'formula'))
     assert f'| `{part["name"]}` | {" | ".join(map(str, cells))} |' in text
 

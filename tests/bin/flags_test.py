@@ -8,6 +8,7 @@ import pytest
 
 from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.experiments import config as run_config
+from dmc_multimode.suite.imitation import disturbances
 from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import schedule
 
@@ -135,3 +136,8 @@ def test_every_configuration(parse: Any) -> None:
   # Nothing is without a word on what it is.
   missing = [n for n in config_flags.FLAGS if not config_flags.FLAGS[n].help]
   assert not [name for name in missing if '_gains_' not in name]
+
+
+def test_every_disturbance_has_a_flag() -> None:
+  expected = {*disturbances.UNITS, 'push_speed', 'sensor_noise'}
+  assert set(config_flags.DISTURBANCES) == expected

@@ -79,14 +79,13 @@ def test_it_steps_as_both_engines_do(
   physics = env.physics
   with physics.reset_context():
     physics.data.qpos[:] = data.qpos
-  bounds = np.array([[-np.pi], [np.pi]]) + np.zeros(10)
   random, standing = np.random.RandomState(0), data.ctrl.copy()
   for _ in range(_STEPS):
     action = standing + random.uniform(-0.6, 0.6, 10)
     data.ctrl[:] = physics.data.ctrl[:] = action
     mujoco.mj_step(model, data, nstep=substeps)
     physics.step(substeps)
-    worlds.step(action[None], bounds, np.array([True]), substeps)
+    worlds.step(action[None], np.array([True]), substeps)
     # A frame of 1e-5 kg, by which Composer attaches the robot, is the rest.
     np.testing.assert_allclose(data.qpos, physics.data.qpos, atol=1e-4)
     np.testing.assert_allclose(data.qpos, worlds.qpos[0], atol=1e-4)

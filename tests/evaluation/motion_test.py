@@ -170,26 +170,15 @@ def test_a_shipped_policy(monkeypatch: pytest.MonkeyPatch) -> None:
   assert plain.returns == recorded.returns
 
 
-@pytest.mark.parametrize('from_ground', [False, True])
-def test_random_schedules(from_ground: bool) -> None:
-  mode_set = library.mode_set('pi2')
-  random_state = np.random.RandomState(0)
+def test_random_schedules() -> None:
   schedule = switching.random_schedule(
-    mode_set, 50, 20.0, from_ground, random_state
+    library.mode_set('pi2'), 50, 20.0, np.random.RandomState(0)
   )
-  starts = schedule.starts
-  used = np.isfinite(starts)
-  assert starts[used].max() < 20
+  used = np.isfinite(schedule.starts)
+  assert 18 <= schedule.starts[used].max() < 20
   assert (np.diff(schedule.modes) != 0).all()
-  intervals = np.diff(np.where(used, starts, 0))[used[:, 1:]]
-  before, bank = schedule.modes[:, :-1][used[:, 1:]], mode_set.bank
-  assert intervals.min() >= 0.5 and len(intervals) > 50 * 10
-  cycles = intervals / bank.durations[before]
-  phases = np.where(bank.transient[before], np.minimum(cycles, 1), cycles % 1)
-  contact = bank.sample(before, np.minimum(phases + 1e-9, 1)).contact
-  on_ground = contact.any(axis=1)
-  jumped = (bank.takeoffs[before] == 0) | (cycles > 1 - 1e-9)
-  assert (on_ground & jumped).all() == from_ground
+  intervals = np.diff(np.where(used, schedule.starts, 0))[used[:, 1:]]
+  assert 0.5 <= intervals.min() < 0.6 and 1.9 < intervals.max() <= 2.0
 
 
 def test_switching(monkeypatch: pytest.MonkeyPatch) -> None:

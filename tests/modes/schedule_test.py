@@ -54,51 +54,17 @@ def test_transitions_switch_after_clips_and_phase() -> None:
   walk, launch = _PI2.index('walk_forward'), _PI2.index('launch')
   plan = schedule.transitions(
     _PI2,
-    initial=np.array([walk, walk, launch, launch]),
-    final=np.array([0, 2, 0, 1]),
-    clips=np.array([0, 1, 0, 1]),
-    phases=np.array([0.25, 0.5, 0.25, 0.25]),
+    initial=np.array([walk, walk, launch, launch, walk]),
+    final=np.array([0, 2, 0, 1, 0]),
+    clips=np.array([0, 1, 0, 1, 1]),
+    phases=np.array([0.25, 0.5, 0.25, 0.25, 0.5]),
+    clock_rate=np.array([1.0, 1.0, 1.0, 1.0, 2.0]),
   )
-  np.testing.assert_array_equal(plan.modes[:, 1], [0, 2, 0, 1])
-  # Walk lasts 0.6 s; launch 1.1 s, and it is left as a whole.
-  expected = [0.15, 0.9, 1.1, 1.25 * 1.1]
+  np.testing.assert_array_equal(plan.modes[:, 1], [0, 2, 0, 1, 0])
+  # Walk lasts 0.6 s; launch 1.1 s, and it is not left before it lands.
+  expected = [0.15, 0.9, 0.82 * 1.1, 1.25 * 1.1, 0.45]
   np.testing.assert_allclose(plan.starts[:, 1], expected)
-
-
-def test_commands_wait_for_the_ground() -> None:
-  leap, launch = _PI2.index('leap_forward'), _PI2.index('launch')
-  plan = lambda **kwargs: schedule.transitions(
-    _PI2,
-    initial=np.array([leap, leap, leap, launch, launch]),
-    final=np.array([launch, 0, launch, 0, launch]),
-    clips=np.array([0, 1, 0, 0, 1]),
-    phases=np.array([0.5, 0.5, 0.75, 0.5, 0.5]),
-    **kwargs,
-  )
-  # A leap lasts 1.2 s and flies from phase 0.42 to 0.70; a launch lasts 1.1
-  # s, lands at 0.82 and then stands.
-  np.testing.assert_allclose(
-    plan().starts[:, 1], [0.7 * 1.2, 1.7 * 1.2, 0.75 * 1.2, 1.1, 1.5 * 1.1]
-  )
-  np.testing.assert_allclose(
-    plan(commands_from_ground=False).starts[:, 1],
-    [0.6, 1.8, 0.9, 0.82 * 1.1, 1.5 * 1.1],
-  )
-
-
-def test_commands_wait_for_who_pushes_off() -> None:
-  pi3 = library.mode_set('pi3')
-  hop, leap = pi3.index('hop_forward'), pi3.index('leap_forward')
-  plan = schedule.transitions(
-    pi3,
-    initial=np.array([hop, hop, hop, leap]),
-    final=np.zeros(4, dtype=np.int64),
-    clips=np.array([0, 0, 1, 0]),
-    phases=np.array([0.25, 0.5, 0.5, 0.25]),
-  )
-  # A hop takes 0.6 s and off at 0.4 s: 0.25 s after phase 0.25, 0.1 s after
-  # phase 0.5. It lands at its end. A leap takes off 0.2 s after phase 0.25.
-  np.testing.assert_allclose(plan.starts[:, 1], [0.15, 0.6, 1.2, 0.3])
+  np.testing.assert_array_equal(plan.last_modes(), plan.modes[:, 1])
 
 
 def test_from_knots_and_single_modes() -> None:

@@ -1,6 +1,6 @@
 """Actors: select actions by a policy, for training and for dm_env."""
 
-from typing import Any, Mapping
+from typing import Any, Mapping, Sequence
 
 import dm_env
 import numpy as np
@@ -95,17 +95,33 @@ class FeedForwardActor:
   up the network's input.
   """
 
-  def __init__(self, network: networks.ActorCritic):
-    """Acts with the mean of `network`."""
-    self._network = network
+  def __init__(self, network: networks.ActorCritic, parts: Sequence[str] = ()):
+    """Acts with the mean of `network`.
+
+    Args:
+      network: the policy.
+      parts: keys of the observation that it observes, in order; all by default,
+        and where an observation has none of them.
+    """
+    self._network, self._parts = network, tuple(parts)
 
   @torch.no_grad()
   def select_action(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
     """Returns the mean action, float64 [A].
 
     Raises:
-      ValueError: the parts are no numbers, or have another length together.
+      ValueError: the parts are no numbers, or have another length together, or
+        lack one that the policy observes.
     """
+    lacking = [name for name in self._parts if name not in observation]
+    if len(lacking) < len(self._parts):
+      if lacking:
+        raise ValueError(
+          f'the policy observes {lacking[0]!r}, which this environment does '
+          'not show: build the environment with the task of the policy '
+          '(`policy.config`).'
+        )
+      observation = {name: observation[name] for name in self._parts}
     flat = np.concatenate([np.ravel(part) for part in observation.values()])
     batch = torch.from_numpy(arrays.rows(flat, 'observation'))[None]
     return self._network.act(batch)[0].double().numpy()

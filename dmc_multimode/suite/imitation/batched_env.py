@@ -16,13 +16,16 @@ from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.suite.imitation import composer_task
 from dmc_multimode.suite.imitation import core as imitation_core
+from dmc_multimode.suite.imitation import disturbances
 from dmc_multimode.suite.imitation import episodes as episodes_lib
 from dmc_multimode.suite.imitation import events
+from dmc_multimode.suite.imitation import motion_costs
 from dmc_multimode.suite.imitation import mujoco_worlds
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.suite.imitation import symmetry as task_symmetry
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import arrays
+from dmc_multimode.utils import durations
 from dmc_multimode.walkers import mini_biped
 
 
@@ -39,6 +42,8 @@ class BatchedTimeStep(NamedTuple):
     final_observation: last observations of the N episodes that ended, before
       the reset, in the order of `results.worlds`, float32 [N, D].
     results: the episodes that ended.
+    transitions: the transitions that ended, which Algorithm 1 learns from; as
+      `results`, but for episodes of several commands.
   """
 
   reward: np.ndarray
@@ -47,6 +52,7 @@ class BatchedTimeStep(NamedTuple):
   observation: np.ndarray
   final_observation: np.ndarray
   results: episodes_lib.EpisodeBatch
+  transitions: episodes_lib.EpisodeBatch
 
 
 class BatchedImitation:
@@ -105,8 +111,18 @@ class BatchedImitation:
     self._auto_reset = auto_reset
     self._replicas = replicas
     latent_dim = task.mode_set.latent_dim
-    self._size = observations.size(latent_dim, privileged)
-    self.privileged_size = self._size - observations.size(latent_dim)
+    extra = self.config.extra_observations
+    self._size = observations.size(latent_dim, privileged, extra)
+    self.privileged_size = self._size - observations.size(
+      latent_dim, extra=extra
+    )
+    self._noise = observations.noise(latent_dim, extra)
+    scale = self.config.events.sensor_noise
+    self._noisy = max(scale.first, scale.last) > 0
+    self._sensor_errors = np.zeros((num_worlds, len(self._noise)))
+    self._disturbances = self.config.events.disturbances
+    self._values = disturbances.nominal(num_worlds)
+    self._soles = np.full((num_worlds, 2, 3), np.inf)
     self._random_state = (
       seed
       if isinstance(seed, np.random.RandomState)
@@ -116,13 +132,17 @@ class BatchedImitation:
     if model is None:
       model = mujoco_worlds.compile_model(task)
     self.physics = mujoco_worlds.MujocoWorlds(
-      model, self._arena, num_worlds, num_threads
+      model, self._arena, num_worlds, num_threads, self._disturbances
     )
     self.qpos, self.qvel = self.physics.qpos, self.physics.qvel
     self._returns = np.zeros(num_worlds)
     self._initial = np.zeros(num_worlds, dtype=np.int64)
     self._final = np.zeros(num_worlds, dtype=np.int64)
     self._ended = np.zeros(num_worlds, dtype=bool)
+    self._horizon = np.full(num_worlds, self.config.horizon)
+    # Step and return at the last command but one, and at the last.
+    self._command_steps = np.zeros((num_worlds, 2), dtype=np.int64)
+    self._command_returns = np.zeros((num_worlds, 2))
     self.moving = np.ones(num_worlds, dtype=bool)
     self.steps = 0
     self.assistance = events.TakeoffAssistance(
@@ -144,7 +164,11 @@ class BatchedImitation:
 
   def mirror_image(self) -> task_symmetry.MirrorImage:
     """Returns the left-right mirror image; see `symmetry.mirror_image`."""
-    return task_symmetry.mirror_image(self.mode_set, self.privileged_size > 0)
+    return task_symmetry.mirror_image(
+      self.mode_set,
+      self.privileged_size > 0,
+      self.config.extra_observations,
+    )
 
   @property
   def control_timestep(self) -> float:
@@ -183,8 +207,9 @@ class BatchedImitation:
       ValueError: they are no numbers, have another shape, or are not finite;
         the worlds are as before.
     """
+    self.core.act(np.clip(self._checked(actions), *self._bounds))
     diverged = self.physics.step(
-      self._checked(actions), self._bounds, self.moving, self.config.substeps
+      self._targets(), self.moving, self.config.substeps
     )
     steps = self.num_worlds * self._replicas
     self.steps += steps
@@ -196,11 +221,54 @@ class BatchedImitation:
       outcome.reward[diverged] = 0.0
     self.outcome = outcome
     self._returns += outcome.reward
+    training = self._bonus(outcome) - self._costs(outcome)
     self._assist()
     self._push()
-    self._move_boxes(self.core.switch(self.qpos, self._random_state))
+    knot = self.core.tracker.state.knot.copy()
+    self._move_boxes(self.core.switch(self.qpos, self.qvel, self._random_state))
+    left = self._left_transitions(knot)
+    self._draw_sensor_errors(slice(None))
     observation = self._observe()
-    return self._conclude(outcome, observation)
+    return self._conclude(outcome, training, observation, left)
+
+  def _left_transitions(self, knot: np.ndarray) -> episodes_lib.EpisodeBatch:
+    """Returns the transitions that new commands ended, before the episode did.
+
+    Args:
+      knot: of the schedules before this step's commands, [B].
+    """
+    state = self.core.tracker.state
+    commanded = np.flatnonzero(state.knot > knot)
+    ids = commanded[knot[commanded] > 0]
+    begin, gained = self._command_steps[ids, 0], self._command_returns[ids, 0]
+    lengths = state.step[ids] - begin
+    batch = episodes_lib.EpisodeBatch(
+      ids,
+      state.schedule_modes[ids, knot[ids] - 1],
+      state.schedule_modes[ids, knot[ids]],
+      (self._returns[ids] - gained) / (self.config.gains.highest * lengths),
+      lengths,
+      np.zeros(len(ids), dtype=np.int64),
+    )
+    for marks, now in (
+      (self._command_steps, state.step),
+      (self._command_returns, self._returns),
+    ):
+      marks[commanded, 0] = marks[commanded, 1]
+      marks[commanded, 1] = now[commanded]
+    return batch
+
+  def _targets(self) -> np.ndarray:
+    """Returns the joint targets of this control step, see `MujocoWorlds`."""
+    if 'action_delay' not in self._disturbances.active:
+      return self.core.actions[:, 0]
+    config = self.config
+    return disturbances.delayed(
+      self.core.actions,
+      self._values['action_delay'],
+      config.physics_timestep,
+      config.substeps,
+    )
 
   def _checked(self, actions: npt.ArrayLike) -> np.ndarray:
     """Returns actions that the engine can take; see `step`."""
@@ -215,8 +283,9 @@ class BatchedImitation:
   def command(self, modes: np.ndarray) -> np.ndarray:
     """Commands modes now, whatever the schedules say; returns observations.
 
-    As for a scheduled command, the reference is anchored where the robot is,
-    and a mode that runs already continues.
+    As for a scheduled command, the reference is anchored where the robot is, a
+    mode that runs already continues, and what a robot cannot obey is held until
+    it can; see `ImitationCore.command`.
 
     Args:
       modes: mode indices, one a world, [B].
@@ -226,9 +295,14 @@ class BatchedImitation:
     """
     count, mode_count = self.num_worlds, len(self.mode_set)
     modes = arrays.indices(modes, 'modes', (count,), mode_count)
-    changed = np.flatnonzero(modes != self.core.tracker.state.mode)
     self._move_boxes(
-      self.core.command(changed, modes[changed], self.qpos, self._random_state)
+      self.core.command(
+        np.arange(self.num_worlds),
+        modes,
+        self.qpos,
+        self.qvel,
+        self._random_state,
+      )
     )
     return self._observe()
 
@@ -267,6 +341,7 @@ class BatchedImitation:
     fields = other._fields()
     for name, field in self._fields().items():
       field[:] = fields[name][sources]
+    self._write_body(np.arange(self.num_worlds))
     self._move_boxes(np.flatnonzero(np.any(moved, axis=0)))
     return self._observe()
 
@@ -278,8 +353,17 @@ class BatchedImitation:
       'initial': self._initial,
       'final': self._final,
       'ended': self._ended,
+      'horizon': self._horizon,
+      'command_steps': self._command_steps,
+      'command_returns': self._command_returns,
       'contact': self.core.contact,
+      'actions': self.core.actions,
+      'soles': self._soles,
     }
+    if self._noisy:
+      fields['sensor_errors'] = self._sensor_errors
+    for name in self._disturbances.active:
+      fields[f'disturbances/{name}'] = self._values[name]
     for prefix, parts in (
       ('tracker', self.core.tracker.state),
       ('terrain', self.core.terrain),
@@ -306,6 +390,20 @@ class BatchedImitation:
       outcome.cause == terminations.NON_FINITE, 0.0, weight * agreement
     )
 
+  def _costs(self, outcome: imitation_core.Outcome) -> np.ndarray | float:
+    """Returns the costs of motions that are not quiet, [B]."""
+    scheduled = self.config.events
+    share = scheduled.cost_share.at(self.steps)
+    if not (share and scheduled.costs.active):
+      return 0.0
+    soles = self.physics.soles()
+    motion = self.core.motion(
+      self.qpos[:, 7:], self.physics.joint_limits, soles, self._soles
+    )
+    self._soles[:] = soles
+    costs = share * motion_costs.total(motion, scheduled.costs)
+    return np.where(outcome.cause == terminations.NON_FINITE, 0.0, costs)
+
   def _assist(self) -> None:
     """Adds the take-off assistance to the velocities of robots."""
     if not self.assistance.share:
@@ -324,14 +422,21 @@ class BatchedImitation:
     )
 
   def _conclude(
-    self, outcome: imitation_core.Outcome, observation: np.ndarray
+    self,
+    outcome: imitation_core.Outcome,
+    training: np.ndarray | float,
+    observation: np.ndarray,
+    left: episodes_lib.EpisodeBatch,
   ) -> BatchedTimeStep:
     """Returns the time step; ends and, with `auto_reset`, begins episodes."""
     terminated = outcome.cause > 0
-    last = terminated | (self.core.tracker.state.step >= self.config.horizon)
+    last = terminated | (self.core.tracker.state.step >= self._horizon)
     last &= ~self._ended
     ids = np.flatnonzero(last)
     results = self._finished(ids, outcome.cause)
+    transitions = self._last_transitions(results, left)
+    if self._replicas == 1:
+      self.learn(transitions)
     # Where the state diverged, a learner multiplies the value of this
     # observation by a discount of 0, and 0 * NaN would still be NaN.
     final_observation = np.nan_to_num(observation[ids], posinf=0, neginf=0)
@@ -343,30 +448,56 @@ class BatchedImitation:
       self._ended |= last
     discount = np.where(terminated, 0.0, 1.0)
     return BatchedTimeStep(
-      outcome.reward + self._bonus(outcome),
+      outcome.reward + training,
       discount,
       last,
       observation,
       final_observation,
       results,
+      transitions,
     )
 
   def _finished(
     self, ids: np.ndarray, causes: np.ndarray
   ) -> episodes_lib.EpisodeBatch:
-    """Returns the finished episodes of the worlds `ids`; `learn`s from them."""
+    """Returns the finished episodes of the worlds `ids`."""
     lengths = self.core.tracker.state.step[ids].copy()
-    batch = episodes_lib.EpisodeBatch(
+    return episodes_lib.EpisodeBatch(
       ids,
       self._initial[ids],
       self._final[ids],
-      self.config.normalised(self._returns[ids], lengths),
+      self.config.normalised(self._returns[ids], lengths, self._horizon[ids]),
       lengths,
       causes[ids],
     )
-    if self._replicas == 1:
-      self.learn(batch)
-    return batch
+
+  def _last_transitions(
+    self, results: episodes_lib.EpisodeBatch, left: episodes_lib.EpisodeBatch
+  ) -> episodes_lib.EpisodeBatch:
+    """Returns all transitions that ended in this step.
+
+    The last one of an episode has the return since the last command but one,
+    over the steps from there to the horizon.
+
+    Args:
+      results: the episodes that ended.
+      left: the transitions that commands ended.
+    """
+    if self.episodes.max_knots <= 2:
+      return results
+    ids, state = results.worlds, self.core.tracker.state
+    knot = np.maximum(state.knot[ids], 1)
+    begin, gained = self._command_steps[ids, 0], self._command_returns[ids, 0]
+    ended = results._replace(
+      initial=state.schedule_modes[ids, knot - 1],
+      final=state.schedule_modes[ids, knot],
+      returns=self.config.normalised(
+        self._returns[ids] - gained, results.lengths, self._horizon[ids], begin
+      ),
+    )
+    return episodes_lib.EpisodeBatch(
+      *(np.concatenate(pair) for pair in zip(left, ended, strict=True))
+    )
 
   def learn(self, outcomes: episodes_lib.Outcomes) -> None:
     """Updates Algorithm 1 and assistance with finished episodes, in order."""
@@ -385,9 +516,33 @@ class BatchedImitation:
     episodes = self.episodes.sample(ids, self.steps, self._random_state)
     qpos, qvel = self.core.start(ids, episodes, terrain, self._random_state)
     self.physics.reset(ids, qpos, qvel)
+    self._disturb(ids)
+    self._draw_sensor_errors(ids)
+    self._soles[ids] = np.inf
     self._move_boxes(ids)
     self._returns[ids] = 0.0
     self._initial[ids], self._final[ids] = episodes.initial, episodes.final
+    is_bounded = self.config.horizon < durations.UNBOUNDED
+    self._horizon[ids] = self.config.horizon * (
+      episodes.stretch if is_bounded else 1
+    )
+    self._command_steps[ids], self._command_returns[ids] = 0, 0.0
+
+  def _disturb(self, ids: np.ndarray) -> None:
+    """Draws the disturbances of the worlds `ids`."""
+    share = self.config.events.disturbance_share.at(self.steps)
+    drawn = disturbances.draw(
+      self._disturbances, share, len(ids), self._random_state
+    )
+    for name in self._disturbances.active:
+      self._values[name][ids] = drawn[name]
+    self._write_body(ids)
+
+  def _write_body(self, ids: np.ndarray) -> None:
+    """Writes the disturbances of the worlds `ids` into their models."""
+    if self._disturbances.active and len(ids):
+      values = {name: value[ids] for name, value in self._values.items()}
+      self.physics.write_body(ids, values)
 
   def _move_boxes(self, ids: np.ndarray) -> None:
     """Moves the boxes of the worlds `ids` to the segments of their terrains."""
@@ -428,7 +583,19 @@ class BatchedImitation:
     parts = self.core.observe(qpos, self.qvel[ids], ids)
     if self.privileged_size:
       parts |= self.core.observe_privileged(qpos, ids)
-    return observations.flatten(parts)
+    flat = observations.flatten(parts)
+    if self._noisy:
+      errors = self._sensor_errors[ids]
+      flat[:, : errors.shape[1]] += errors
+    return flat
+
+  def _draw_sensor_errors(self, ids: np.ndarray | slice) -> None:
+    """Draws the errors of the next observations of the worlds `ids`."""
+    if self._noisy:
+      scale = self.config.events.sensor_noise.at(self.steps)
+      shape = self._sensor_errors[ids].shape
+      noise = self._random_state.standard_normal(shape)
+      self._sensor_errors[ids] = scale * self._noise * noise
 
   def state(self) -> dict[str, np.ndarray]:
     """Returns copies of the whole state: `restore` continues bit for bit."""
@@ -455,6 +622,8 @@ class BatchedImitation:
         f'{self.physics.state.shape}: use the same number of worlds and task.'
       )
     for name, field in self._fields().items():
+      if name not in state:  # Earlier versions had fewer.
+        continue
       if state[name].shape != field.shape:
         raise ValueError(
           f'The saved worlds have {name} of shape {state[name].shape}, these '
@@ -471,6 +640,7 @@ class BatchedImitation:
     )
     self._follow_schedules()
     self._move_boxes(np.arange(self.num_worlds))
+    self._write_body(np.arange(self.num_worlds))
     return self._observe()
 
   def _stateful_parts(self) -> tuple[tuple[str, Any], ...]:

@@ -33,6 +33,10 @@ class Tracked(NamedTuple):
     edge: x of the ledge that the running mode is made for, world metres;
       infinite without one.
     rise: height of that ledge, metres.
+    pending: index of the mode that is commanded and waits for the robot; -1
+      for none.
+    pace: share of the reference's speed at the start of the cycle; it rises to
+      1 within the cycle.
   """
 
   schedule_modes: np.ndarray
@@ -46,6 +50,8 @@ class Tracked(NamedTuple):
   heading: np.ndarray
   edge: np.ndarray
   rise: np.ndarray
+  pending: np.ndarray
+  pace: np.ndarray
 
 
 class ModeTracker:
@@ -57,6 +63,7 @@ class ModeTracker:
     control_timestep: float,
     num_worlds: int,
     max_knots: int,
+    ramp_start: bool = False,
   ):
     """Allocates the state; every world must be `reset` before use.
 
@@ -65,8 +72,11 @@ class ModeTracker:
       control_timestep: seconds.
       num_worlds: B.
       max_knots: K, the most commands that a schedule may hold.
+      ramp_start: starts gaits with the robot's own speed; see
+        `ImitationConfig`.
     """
     self.bank = mode_set.bank
+    self._ramps = mode_set.bank.level & ramp_start
     self._latents = mode_set.latents.astype(np.float64)
     self._timestep = control_timestep
     cycles = self.bank.durations[~self.bank.transient]
@@ -85,6 +95,8 @@ class ModeTracker:
       heading=np.zeros(num),
       edge=np.full(num, np.inf),
       rise=np.zeros(num),
+      pending=np.full(num, -1),
+      pace=np.ones(num),
     )
 
   def reset(
@@ -93,6 +105,7 @@ class ModeTracker:
     schedule: schedule_lib.ModeSchedule,
     phase: np.ndarray,
     support: np.ndarray,
+    pace: np.ndarray | float = 1.0,
   ) -> None:
     """Starts the worlds `ids` at the origin of their first modes.
 
@@ -101,6 +114,8 @@ class ModeTracker:
       schedule: of N worlds.
       phase: where in their first mode they start, [N].
       support: height of the support plane at the origin, metres, [N].
+      pace: share of the reference's speed at which a gait starts, [N]; of no
+        effect without `ramp_start`.
 
     Raises:
       ValueError: the schedule holds more commands than there is room for.
@@ -123,6 +138,8 @@ class ModeTracker:
     state.anchor[ids] = 0.0
     state.anchor[ids, 2] = support
     state.heading[ids] = 0.0
+    state.pending[ids] = -1
+    state.pace[ids] = np.where(self._ramps[state.mode[ids]], pace, 1.0)
     self._forget_ledge(ids)
 
   def check_rate(self, rate: float) -> None:
@@ -205,8 +222,22 @@ class ModeTracker:
     passed = (state.phase >= takeoffs) & (before < takeoffs)
     ids = np.flatnonzero(passed & (takeoffs > 0))
     velocity = bank.start_velocity(state.mode[ids], takeoffs[ids])
-    velocity *= state.clock_rate[ids, None]
+    velocity *= self._speed_up(ids)
     return ids, _turn(velocity, state.heading[ids])
+
+  def _rise(self, ids: np.ndarray | slice) -> np.ndarray:
+    """Returns the factor of the heights of flights at the clock rates, [N].
+
+    A flight that lasts 1/r as long rises 1/r^2 as high. Slower than 1, a body
+    cannot fly; the reference keeps its height.
+    """
+    rate = np.maximum(self.state.clock_rate[ids], 1.0)
+    return np.where(self.bank.flies[self.state.mode[ids]], rate**-2.0, 1.0)
+
+  def _speed_up(self, ids: np.ndarray) -> np.ndarray:
+    """Returns factors of velocities at the clock rates, [N, 3]."""
+    rate = self.state.clock_rate[ids]
+    return np.stack([rate, rate, rate * self._rise(ids)], axis=1)
 
   def _wrap(self, over: np.ndarray) -> None:
     """Ends cycles: transient modes hold phase 1, the others restart at 0."""
@@ -216,18 +247,16 @@ class ModeTracker:
     state.phase[hold] = 1.0
     state.phase[again] -= 1.0
     modes = state.mode[again]
-    state.anchor[again] += _turn(
-      bank.displacements[modes], state.heading[again]
-    )
+    moved = bank.displacements[modes]
+    slower = state.pace[again] < 1
+    if slower.any():
+      moved = moved * ((1 + state.pace[again]) / 2)[:, None]
+      state.pace[again] = 1.0
+    state.anchor[again] += _turn(moved, state.heading[again])
     state.heading[again] += bank.turns[modes]
 
-  def pop_due_commands(self) -> tuple[np.ndarray, np.ndarray]:
-    """Pops the commands that are due now off the schedules.
-
-    Returns:
-      Worlds whose mode changes, [N], and their new modes, [N]. A command of the
-      running mode changes nothing and is left out.
-    """
+  def take_due_commands(self) -> None:
+    """Makes the commands that are due now pending."""
     state = self.state
     following = np.minimum(state.knot + 1, state.schedule_steps.shape[1] - 1)
     rows = np.arange(len(following))
@@ -235,12 +264,40 @@ class ModeTracker:
       following > state.knot
     )
     ids = np.flatnonzero(due)
-    if not len(ids):
-      return ids, ids
     state.knot[ids] += 1
-    modes = state.schedule_modes[ids, state.knot[ids]]
+    state.pending[ids] = state.schedule_modes[ids, state.knot[ids]]
+
+  def pop_pending(self, gated: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Pops the pending commands that the robots can obey now.
+
+    Args:
+      gated: holds commands in flight, shortly before a take-off, and before
+        the end of a mode with a take-off; see `schedule.PUSH_OFF`.
+
+    Returns:
+      Worlds whose mode changes, [N], and their new modes, [N]. A command of the
+      running mode changes nothing and is left out.
+    """
+    state = self.state
+    ids = np.flatnonzero(state.pending >= 0)
+    if gated and len(ids):
+      ids = ids[self.can_obey(ids)]
+    modes = state.pending[ids]
+    state.pending[ids] = -1
     changed = modes != state.mode[ids]
     return ids[changed], modes[changed]
+
+  def can_obey(self, ids: np.ndarray) -> np.ndarray:
+    """Returns whether the robots of `ids` can follow a new command, [N].
+
+    A robot cannot in flight, nor while it pushes off, nor before the end of a
+    mode with a take-off, which no controller could abort.
+    """
+    state, bank = self.state, self.bank
+    modes, phases = state.mode[ids], state.phase[ids]
+    push_off = schedule_lib.PUSH_OFF * state.clock_rate[ids]
+    grounded = bank.grounded(modes, phases, push_off) <= phases
+    return np.where(bank.takeoffs[modes] > 0, phases >= 1.0, grounded)
 
   def command(
     self,
@@ -248,6 +305,7 @@ class ModeTracker:
     modes: np.ndarray,
     position: np.ndarray,
     support: np.ndarray,
+    velocity: np.ndarray,
   ) -> None:
     """Starts new modes where the robots are now.
 
@@ -256,6 +314,7 @@ class ModeTracker:
       modes: their new modes, [N].
       position: of the trunk in the world, metres, [N, 3].
       support: height of the support plane under it, metres, [N].
+      velocity: of the trunk in the world, m/s, [N, 3].
     """
     state = self.state
     old = self.bank.sample(state.mode[ids], state.phase[ids])
@@ -265,7 +324,17 @@ class ModeTracker:
     state.phase[ids] = 0.0
     state.anchor[ids, :2] = position[:, :2]
     state.anchor[ids, 2] = support
+    state.pace[ids] = self._own_pace(ids, velocity)
     self._forget_ledge(ids)
+
+  def _own_pace(self, ids: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """Returns the robots' speeds as shares of their references', [N]."""
+    state, modes = self.state, self.state.mode[ids]
+    way = _turn(self.bank.displacements[modes], state.heading[ids])[:, :2]
+    rate = state.clock_rate[ids] / self.bank.durations[modes]
+    wanted = np.maximum(np.sum(way**2, axis=1) * rate, 1e-9)
+    pace = np.clip(np.sum(velocity[:, :2] * way, axis=1) / wanted, 0.0, 1.0)
+    return np.where(self._ramps[modes], pace, 1.0)
 
   def reference(
     self, ids: np.ndarray | slice = slice(None)
@@ -276,7 +345,19 @@ class ModeTracker:
     """
     state = self.state
     local = self.bank.sample(state.mode[ids], state.phase[ids])
-    turned = _turn(local.position, state.heading[ids])
+    position = local.position
+    slower = np.flatnonzero(state.pace[ids] < 1)
+    if len(slower):
+      pace, phase = state.pace[ids][slower], state.phase[ids][slower]
+      # Half the square of the phase has a slope that rises from 0 to 1.
+      position[slower, :2] *= (pace + (1 - pace) * phase / 2)[:, None]
+    lower = np.flatnonzero(self._rise(ids) < 1)
+    if len(lower):
+      base = self.bank.base_heights[state.mode[ids][lower]]
+      position[lower, 2] -= base
+      position[lower, 2] *= self._rise(ids)[lower]
+      position[lower, 2] += base
+    turned = _turn(position, state.heading[ids])
     return local._replace(position=state.anchor[ids] + turned)
 
   def airborne(self, ids: np.ndarray) -> np.ndarray:
@@ -286,7 +367,7 @@ class ModeTracker:
     return local.has_contact & ~local.contact.any(axis=1)
 
   def swing_timing(
-    self, ids: np.ndarray
+    self, ids: np.ndarray | slice = slice(None)
   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Returns `ReferenceBank.swing_timing` of `ids` at their phases."""
     state = self.state
@@ -316,7 +397,10 @@ class ModeTracker:
     )
     modes = state.schedule_modes[ids][rows, following]
     modes = np.where(exists, modes, state.mode[ids])
-    return countdown, self._latents[modes]
+    pending = state.pending[ids]
+    waits = pending >= 0
+    countdown = np.where(waits, 0.0, countdown)
+    return countdown, self._latents[np.where(waits, pending, modes)]
 
   def start_pose(
     self, ids: np.ndarray
@@ -332,9 +416,9 @@ class ModeTracker:
     local = self.bank.sample(modes, phases)
     velocity = self.bank.start_velocity(modes, phases)
     return (
-      state.anchor[ids] + local.position,
+      self.reference(ids).position,
       local.orientation,
-      velocity * state.clock_rate[ids, None],
+      velocity * self._speed_up(ids),
     )
 
   def commands(self) -> np.ndarray:

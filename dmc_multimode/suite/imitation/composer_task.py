@@ -1,10 +1,13 @@
 """The imitation task as a dm_control Composer task, for one world."""
 
 import collections
+import copy
+import operator
 from typing import Any
 
 from dm_control import composer
 from dm_control.composer.observation import observable
+import mujoco
 import numpy as np
 
 from dmc_multimode.arenas import terrain as terrain_lib
@@ -12,6 +15,7 @@ from dmc_multimode.arenas import track as track_lib
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import core as imitation_core
+from dmc_multimode.suite.imitation import disturbances
 from dmc_multimode.suite.imitation import episodes as episodes_lib
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.suite.imitation import terminations
@@ -65,6 +69,9 @@ class Imitation(composer.Task):
     self._return = 0.0
     self._random_state = np.random.RandomState()  # Until there is one.
     self._episode: episodes_lib.Episodes | None = None
+    self._values = disturbances.nominal(1)
+    self._body: tuple[Any, disturbances.Body] | None = None
+    self._targets = np.zeros((self.config.substeps, observations.NUM_JOINTS))
     self._add_observables()
 
   def _set_physics_options(self) -> None:
@@ -105,7 +112,9 @@ class Imitation(composer.Task):
     )
 
   def _add_observables(self) -> None:
-    layout = observations.layout(self.mode_set.latent_dim)
+    layout = observations.layout(
+      self.mode_set.latent_dim, extra=self.config.extra_observations
+    )
     self._task_observables = collections.OrderedDict()
     for name, size in layout:
       self._parts[name] = np.zeros((1, size))
@@ -195,8 +204,35 @@ class Imitation(composer.Task):
     qpos, qvel = self.core.start(_WORLD, episode, terrain, random_state)
     self._arena.apply(physics, self._current_terrain())
     physics.data.qpos[:], physics.data.qvel[:] = qpos[0], qvel[0]
+    self._disturb(physics, random_state)
     self._outcome, self._return = None, 0.0
     self._substep, self._unseen = 0, physics
+
+  def _disturb(self, physics: Any, random_state: np.random.RandomState) -> None:
+    """Draws the disturbances of the episode, as at the first step."""
+    scheduled = self.config.events
+    if not scheduled.disturbances.active:
+      return
+    self._values = disturbances.draw(
+      scheduled.disturbances, scheduled.disturbance_share.at(0), 1, random_state
+    )
+    if self._body is None or self._body[0] is not physics.model:
+      model = physics.model.ptr
+      nominal = copy.copy(model)
+      trunk = physics.bind(self._walker.root_body).element_id
+      self._body = (
+        physics.model,
+        disturbances.Body(
+          nominal,
+          scheduled.disturbances,
+          lambda name: operator.attrgetter(name)(model)[None],
+          int(trunk),
+        ),
+      )
+    body = self._body[1]
+    body.write(_WORLD, self._values)
+    if body.changes_mass:
+      mujoco.mj_setConst(physics.model.ptr, mujoco.MjData(physics.model.ptr))
 
   def _finish_episode(self) -> None:
     """Updates Algorithm 1 with the finished episode, if there is one."""
@@ -221,7 +257,7 @@ class Imitation(composer.Task):
   def before_step(
     self, physics: Any, action: np.ndarray, random_state: np.random.RandomState
   ) -> None:
-    """Hands the joint targets to the servos.
+    """Remembers the joint targets for the servos.
 
     Args:
       physics: of the running episode.
@@ -239,7 +275,22 @@ class Imitation(composer.Task):
       # dm_control resets with actuation disabled, which leaves the actuators'
       # velocities at 0: the first physics step would miss the servos' damping.
       physics.forward()
-    self._walker.apply_action(physics, action, random_state)
+    bounds = self._walker.action_spec
+    self.core.act(np.clip(action, bounds.minimum, bounds.maximum)[None])
+    self._targets = disturbances.delayed(
+      self.core.actions,
+      self._values['action_delay'],
+      self.config.physics_timestep,
+      self.config.substeps,
+    )[0]
+
+  def before_substep(
+    self, physics: Any, action: np.ndarray, random_state: np.random.RandomState
+  ) -> None:
+    """Hands the joint targets to the servos, by the delay later."""
+    del action
+    targets = self._targets[self._substep]
+    self._walker.apply_action(physics, targets, random_state)
 
   def after_substep(
     self, physics: Any, random_state: np.random.RandomState
@@ -260,7 +311,7 @@ class Imitation(composer.Task):
     contact = (touch > self.config.contact_force)[None]
     self._outcome = self.core.advance(qpos, qvel, contact.astype(float))
     self._return += float(self._outcome.reward[0])
-    self._rebuild(physics, self.core.switch(qpos, random_state))
+    self._rebuild(physics, self.core.switch(qpos, qvel, random_state))
     self._substep, self._unseen = 0, physics
     if self._visualize_reward:
       self._colour(physics, float(self._outcome.reward[0]))
@@ -270,8 +321,9 @@ class Imitation(composer.Task):
   ) -> None:
     """Commands a mode now, whatever the schedule says.
 
-    As for a scheduled command, the reference is anchored where the robot is,
-    and a mode that runs already continues. `observation` includes the command
+    As for a scheduled command, the reference is anchored where the robot is, a
+    mode that runs already continues, and what the robot cannot obey is held
+    until it can; see `ImitationCore.command`. `observation` includes a command
     at once; the time step that the environment returned before does not.
 
     Args:
@@ -283,11 +335,10 @@ class Imitation(composer.Task):
       ValueError: it is no index of a mode.
     """
     modes = arrays.indices([mode], 'mode', (1,), len(self.mode_set))
-    if modes != self.core.tracker.state.mode:
-      qpos, _ = _state(physics)
-      self._rebuild(
-        physics, self.core.command(_WORLD, modes, qpos, random_state)
-      )
+    qpos, qvel = _state(physics)
+    self._rebuild(
+      physics, self.core.command(_WORLD, modes, qpos, qvel, random_state)
+    )
     self._observe(physics)
 
   def _rebuild(self, physics: Any, changed: np.ndarray) -> None:

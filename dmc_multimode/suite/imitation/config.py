@@ -1,11 +1,15 @@
 """Configuration of the imitation task, one dataclass for both engines."""
 
+import dataclasses
 import functools
 import math
 from typing import Any, Iterable, Mapping
 
+import numpy as np
+
 from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.suite.imitation import events as events_lib
+from dmc_multimode.suite.imitation import observations
 from dmc_multimode.suite.imitation import rewards
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import config as config_lib
@@ -29,6 +33,10 @@ class ImitationConfig:
     physics_timestep: period of the physics, seconds; divides the former.
     servo_inertia: gives the joints the inertia that makes long physics steps
       behave as short ones do; see `MiniBiped.add_servo_inertia`.
+    extra_observations: names of the policy's observations beyond the paper's,
+      of `observations.EXTRA_TERMS`.
+    ramp_start: references of gaits start with the robot's own speed and reach
+      theirs after one cycle; otherwise they move at full speed at once.
     commands_from_ground: postpones commands that would fall into a flight, or
       before the jump of a transient mode; see `schedule.transitions`.
     joint_noise: standard deviation of the initial joint angles, radians.
@@ -44,6 +52,8 @@ class ImitationConfig:
   control_timestep: config_lib.Positive = constants.CONTROL_TIMESTEP
   physics_timestep: config_lib.Positive = 0.005
   servo_inertia: bool = True
+  extra_observations: tuple[str, ...] = ()
+  ramp_start: bool = True
   commands_from_ground: bool = True
   joint_noise: config_lib.NonNegative = 0.05
   velocity_noise: config_lib.NonNegative = 0.1
@@ -51,6 +61,7 @@ class ImitationConfig:
   contact_force: config_lib.NonNegative = 1.0
 
   def __post_init__(self) -> None:
+    observations.terms(extra=self.extra_observations)
     ratio = self.control_timestep / self.physics_timestep
     if abs(ratio - round(ratio)) > 1e-6 or ratio < 1:
       raise ValueError(
@@ -68,12 +79,24 @@ class ImitationConfig:
     """Physics steps in a control step."""
     return round(self.control_timestep / self.physics_timestep)
 
+  @property
+  def action_history(self) -> int:
+    """Actions that a world remembers: for its costs, and for the delay."""
+    longest = self.events.disturbances.action_delay[1] / self.control_timestep
+    return max(3, math.ceil(round(longest, 6)) + 1)
+
   @functools.cached_property
   def horizon(self) -> int:
     """Control steps in an episode, or `durations.UNBOUNDED`."""
     return int(durations.steps(self.time_limit, self.control_timestep))
 
-  def normalised(self, returns: Any, lengths: Any) -> Any:
+  def normalised(
+    self,
+    returns: Any,
+    lengths: Any,
+    horizon: int | np.ndarray | None = None,
+    begin: int | np.ndarray = 0,
+  ) -> Any:
     """Returns sums of rewards over the most that there is, in [0, 1].
 
     The most is horizon times the sum of the weights of Eq. 3; of an episode
@@ -82,9 +105,12 @@ class ImitationConfig:
     Args:
       returns: sums of the rewards of N episodes, [N].
       lengths: their control steps, [N].
+      horizon: likewise until their time limits; the task's by default.
+      begin: control step from which the rewards are summed.
     """
-    most = self.horizon if self.horizon < durations.UNBOUNDED else lengths
-    return returns / (self.gains.highest * most)
+    most = self.horizon if horizon is None else horizon
+    most = np.where(np.less(most, durations.UNBOUNDED), most, lengths)
+    return returns / (self.gains.highest * (most - begin))
 
   def check_modes(self, motions: Iterable[motion_lib.ReferenceMotion]) -> None:
     """Raises ValueError for a mode that no robot can follow in this task.
@@ -97,6 +123,19 @@ class ImitationConfig:
     for motion in motions:
       motion_lib.check_cycle(motion, self.control_timestep)
       motion_lib.check_start(motion, distance, self.limits.angle)
+
+
+def evaluated(config: ImitationConfig, **changes: Any) -> ImitationConfig:
+  """Returns the task of a policy's training, without training events.
+
+  Args:
+    config: of the training.
+    **changes: other values of fields, which override these.
+
+  Raises:
+    ValueError: the values are not those of a task.
+  """
+  return dataclasses.replace(config, **{'events': events_lib.NONE, **changes})
 
 
 def to_dict(config: ImitationConfig) -> dict[str, Any]:
@@ -121,9 +160,10 @@ def from_dict(values: Mapping[str, Any]) -> ImitationConfig:
 def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
   """Returns an earlier version's JSON of a task with this version's keys.
 
-  JSON without `servo_inertia` also had no limit of the angle, and commands did
-  not wait for the ground. Training events were fields of the task itself, and
-  each schedule two to four fields.
+  The first versions had no limit of the angle and no `servo_inertia`, and
+  commands did not wait for the ground. Then training events were fields of the
+  task itself, and each schedule two to four fields. Until there were other
+  observations, policies had the paper's, and references started at full speed.
 
   Raises:
     KeyError, TypeError, ValueError: the JSON is not that of a task.
@@ -131,6 +171,7 @@ def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
   new = dict(values)
   new['gains'] = _upgraded_gains(values['gains'])
   new['limits'] = {'angle': math.pi, **values['limits']}
+  new = {'extra_observations': [], 'ramp_start': False, **new}
   if 'events' in new:
     return new
   new = {'servo_inertia': False, 'commands_from_ground': False, **new}

@@ -20,6 +20,7 @@ from dmc_multimode.suite.imitation import commands
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes as episodes_lib
 from dmc_multimode.suite.imitation import events
+from dmc_multimode.suite.imitation import motion_costs
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.suite.imitation import resets
 from dmc_multimode.suite.imitation import rewards
@@ -57,6 +58,8 @@ class ImitationCore:
     terrain: of every world.
     terrain_events: edits the terrain when modes begin.
     contact: feet on the ground (left, right), 0 or 1, [B, 2].
+    actions: last joint targets, the newest first, radians, [B, H, 10]; at the
+      start of an episode, the joints' angles.
     distance_slack: added to the limit on the distance, metres.
   """
 
@@ -83,10 +86,17 @@ class ImitationCore:
     self.config = config
     self.distance_slack = 0.0
     self.tracker = commands.ModeTracker(
-      mode_set, config.control_timestep, num_worlds, max_knots
+      mode_set,
+      config.control_timestep,
+      num_worlds,
+      max_knots,
+      config.ramp_start,
     )
     self.terrain = terrain_lib.empty(num_worlds, num_segments)
     self.contact = np.zeros((num_worlds, 2))
+    self.actions = np.zeros(
+      (num_worlds, config.action_history, observations.NUM_JOINTS)
+    )
     self.terrain_events = terrain_events.TerrainEvents(
       mode_set,
       self.terrain,
@@ -121,12 +131,14 @@ class ImitationCore:
     phase = random_state.uniform(size=count) * on_reference
     self.terrain.write(ids, terrain)
     support = terrain_lib.support_height(terrain, np.zeros(count))
-    self.tracker.reset(ids, episodes.schedule, phase, support)
+    self.tracker.reset(
+      ids, episodes.schedule, phase, support, on_reference.astype(float)
+    )
     self.terrain_events.prepare(
       ids, episodes.initial, np.zeros(count), random_state
     )
     self.contact[ids] = 0.0
-    return resets.initial_state(
+    qpos, qvel = resets.initial_state(
       self.tracker,
       self.terrain.rows(ids),
       self.config,
@@ -134,6 +146,13 @@ class ImitationCore:
       on_reference,
       random_state,
     )
+    self.actions[ids] = qpos[:, None, 7:]
+    return qpos, qvel
+
+  def act(self, actions: np.ndarray) -> None:
+    """Remembers the joint targets of a control step, radians, [B, 10]."""
+    self.actions[:, 1:] = self.actions[:, :-1].copy()
+    self.actions[:, 0] = actions
 
   def advance(
     self, qpos: np.ndarray, qvel: np.ndarray, contact: np.ndarray
@@ -191,38 +210,57 @@ class ImitationCore:
     return reference
 
   def switch(
-    self, qpos: np.ndarray, random_state: np.random.RandomState
+    self,
+    qpos: np.ndarray,
+    qvel: np.ndarray,
+    random_state: np.random.RandomState,
   ) -> np.ndarray:
-    """Carries out the commands that are due.
+    """Carries out the commands that are due; see `command`.
 
     Returns:
       The worlds whose terrain changed, [N].
     """
-    return self.command(*self.tracker.pop_due_commands(), qpos, random_state)
+    self.tracker.take_due_commands()
+    return self._obey(qpos, qvel, random_state)
 
   def command(
     self,
     ids: np.ndarray,
     modes: np.ndarray,
     qpos: np.ndarray,
+    qvel: np.ndarray,
     random_state: np.random.RandomState,
   ) -> np.ndarray:
-    """Starts new modes where the robots are.
+    """Commands modes; they start where the robots are.
+
+    With `commands_from_ground`, a command that no robot can obey is held until
+    this one can; see `ModeTracker.can_obey`. A later command replaces it.
 
     Args:
       ids: worlds, [N].
       modes: their new modes, [N].
-      qpos: of all worlds, [B, 17].
+      qpos, qvel: of all worlds, [B, 17] and [B, 16].
       random_state: source of the places of ledges and obstacles.
 
     Returns:
       The worlds whose terrain changed.
     """
+    self.tracker.state.pending[ids] = modes
+    return self._obey(qpos, qvel, random_state)
+
+  def _obey(
+    self,
+    qpos: np.ndarray,
+    qvel: np.ndarray,
+    random_state: np.random.RandomState,
+  ) -> np.ndarray:
+    """Starts the pending modes that can be obeyed; see `command`."""
+    ids, modes = self.tracker.pop_pending(self.config.commands_from_ground)
     if not len(ids):
       return ids
     position = qpos[ids, :3]
     support = terrain_lib.support_height(self.terrain.rows(ids), position[:, 0])
-    self.tracker.command(ids, modes, position, support)
+    self.tracker.command(ids, modes, position, support, qvel[ids, :3])
     return self.terrain_events.prepare(ids, modes, position[:, 0], random_state)
 
   def contact_schedule_agreement(
@@ -234,12 +272,54 @@ class ImitationCore:
       reference: pose of the mode that is in force.
       soles: world positions of the soles (left, right), metres, [B, 2, 3].
     """
-    grounds = [self.support(soles[:, foot, 0]) for foot in range(2)]
+    swinging, time, length = self.tracker.swing_timing()
+    progress = np.where(length > 0, 0.5 + time / np.maximum(length, 1e-9), 0.5)
     return events.contact_schedule_agreement(
       self.contact,
-      soles[:, :, 2] - np.stack(grounds, axis=1),
+      self.clearance(soles),
       reference.contact,
       reference.has_contact,
+      np.where(swinging, progress[:, None], np.nan),
+    )
+
+  def clearance(self, soles: np.ndarray) -> np.ndarray:
+    """Returns heights of the soles over the ground below, metres, [B, 2].
+
+    Args:
+      soles: world positions of the soles (left, right), metres, [B, 2, 3].
+    """
+    grounds = [self.support(soles[:, foot, 0]) for foot in range(2)]
+    return soles[:, :, 2] - np.stack(grounds, axis=1)
+
+  def motion(
+    self,
+    joints: np.ndarray,
+    limits: np.ndarray,
+    soles: np.ndarray,
+    before: np.ndarray,
+  ) -> motion_costs.Motion:
+    """Returns the motion that costs are computed from.
+
+    Args:
+      joints: angles, radians, [B, 10].
+      limits: of the joints, radians, [10, 2].
+      soles: world positions of the soles, metres, [B, 2, 3].
+      before: likewise, a control step earlier; infinite for none.
+    """
+    state, bank = self.tracker.state, self.tracker.bank
+    rise = np.where(np.isinf(before), 0.0, soles - before)[:, :, 2]
+    apart = soles[:, 0] - soles[:, 1]
+    heading = state.heading
+    return motion_costs.Motion(
+      self.actions,
+      joints,
+      limits,
+      self.contact,
+      self.clearance(soles),
+      rise / self.config.control_timestep,
+      np.cos(heading) * apart[:, 1] - np.sin(heading) * apart[:, 0],
+      bank.steady[state.mode],
+      bank.straight[state.mode],
     )
 
   def _ground(self, ids: np.ndarray | slice) -> terrain_lib.Terrain:
@@ -264,11 +344,15 @@ class ImitationCore:
       ids: worlds, [N]; all by default.
       share: of a control step that has passed since the last `advance`.
     """
-    state = self.tracker.state
+    state, extra = self.tracker.state, self.config.extra_observations
     phase, heading = state.phase, state.heading
     if share:
       phase, heading = self.tracker.ahead(share)
     terrain = self._ground(ids)
+    displacement = np.zeros((len(qpos), 2))
+    if 'displacement' in extra:
+      reference = self.tracker.reference(ids)
+      displacement = qpos[:, :2] - reference.position[:, :2]
     return observations.observe(
       observations.policy_view(
         qpos,
@@ -277,7 +361,11 @@ class ImitationCore:
         heading[ids],
         phase[ids],
         self.tracker.commands()[ids],
-      )
+        displacement,
+        state.clock_rate[ids],
+        self.actions[ids],
+      ),
+      extra,
     )
 
   def observe_privileged(

@@ -8,6 +8,9 @@ from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import mode_sampler
 
+_MOST_COMMANDS = 5
+_STRETCH = 2  # Time limits in an episode of several transitions.
+
 
 class Episodes(NamedTuple):
   """N episodes.
@@ -16,11 +19,13 @@ class Episodes(NamedTuple):
     schedule: mode schedules of N worlds.
     initial: index of the first mode, [N].
     final: index of the last mode, [N].
+    stretch: their lengths in time limits of the task, [N], or one for all.
   """
 
   schedule: schedule_lib.ModeSchedule
   initial: np.ndarray
   final: np.ndarray
+  stretch: np.ndarray | int = 1
 
 
 class Outcomes(Protocol):
@@ -94,16 +99,14 @@ class EpisodeInitialiser(Protocol):
 class TransitionEpisodes:
   """Algorithm 1: an initial mode, a switch at a phase, a final mode.
 
-  `SamplingConfig` can prefer some modes at first.
+  `SamplingConfig` can prefer some modes at first, and make some episodes
+  strings of several transitions.
   """
-
-  max_knots = 2
 
   def __init__(
     self,
     mode_set: mode_set_lib.ModeSet,
     config: mode_sampler.SamplingConfig | None = None,
-    commands_from_ground: bool = True,
   ):
     """Samples the modes of `mode_set`; see `schedule.transitions`.
 
@@ -112,7 +115,7 @@ class TransitionEpisodes:
     """
     self._mode_set = mode_set
     self._config = config or mode_sampler.SamplingConfig()
-    self._commands_from_ground = commands_from_ground
+    self.max_knots = _MOST_COMMANDS if self._config.has_strings else 2
     self._gaits = np.flatnonzero(mode_set.bank.gaits)
     self._focused = np.array(
       [mode_set.index(name) for name in self._config.focused], dtype=np.int64
@@ -130,12 +133,73 @@ class TransitionEpisodes:
         swap = random_state.uniform(size=shape) < share
         preferred = random_state.choice(modes, size=shape)
         initial, final = np.where(swap, preferred, (initial, final))
-    clips = random_state.choice(schedule_lib.CLIPS, size=len(ids))
-    phases = random_state.choice(schedule_lib.SWITCH_PHASES, size=len(ids))
+    clips, phases = _moments(len(ids), random_state)
+    rates = self._clock_rates(initial, final, steps, random_state)
     schedule = schedule_lib.transitions(
-      self._mode_set, initial, final, clips, phases, self._commands_from_ground
+      self._mode_set, initial, final, clips, phases, rates
     )
-    return Episodes(schedule, initial, final)
+    stretch = np.ones(len(ids), dtype=np.int64)
+    share = self._config.string_fraction.at(steps)
+    if share:
+      rows = np.flatnonzero(random_state.uniform(size=len(ids)) < share)
+      schedule = self._strung(schedule, rows, random_state)
+      final = final.copy()
+      final[rows] = schedule.last_modes()[rows]
+      stretch[rows] = _STRETCH
+    return Episodes(schedule, initial, final, stretch)
+
+  def _strung(
+    self,
+    schedule: schedule_lib.ModeSchedule,
+    rows: np.ndarray,
+    random_state: np.random.RandomState,
+  ) -> schedule_lib.ModeSchedule:
+    """Appends transitions to the `rows` of a schedule of single ones.
+
+    Each further mode is drawn from p_f of the one before it.
+    """
+    bank = self._mode_set.bank
+    extra = _MOST_COMMANDS - 2
+    modes = np.pad(schedule.modes, ((0, 0), (0, extra)))
+    starts = np.pad(
+      schedule.starts, ((0, 0), (0, extra)), constant_values=np.inf
+    )
+    commands = random_state.randint(2, _MOST_COMMANDS + 1, size=len(rows))
+    for knot in range(2, _MOST_COMMANDS):
+      before = modes[rows, knot - 1]
+      clips, phases = _moments(len(rows), random_state)
+      after = starts[rows, knot - 1] + (
+        np.maximum(clips + phases, bank.touchdowns[before])
+        * bank.durations[before]
+        / schedule.clock_rate[rows]
+      )
+      modes[rows, knot] = self.sampler.sample_final(before, random_state)
+      # Modes that climb keep their clock rate, so that others end with them.
+      fits = commands > knot
+      fits &= ~bank.transient[modes[rows, knot]] | (
+        schedule.clock_rate[rows] == 1
+      )
+      commands = np.where(fits, commands, np.minimum(commands, knot))
+      starts[rows, knot] = np.where(fits, after, np.inf)
+    return schedule_lib.ModeSchedule(modes, starts, schedule.clock_rate)
+
+  def _clock_rates(
+    self,
+    initial: np.ndarray,
+    final: np.ndarray,
+    steps: int,
+    random_state: np.random.RandomState,
+  ) -> np.ndarray:
+    """Returns the clock rates of episodes, 1 for most, [N]."""
+    rates, (low, high) = np.ones(len(initial)), self._config.clock_rates
+    share = self._config.clock_rate_fraction.at(steps)
+    if share and high > low:
+      transient = self._mode_set.bank.transient
+      drawn = random_state.uniform(size=len(rates)) < share
+      drawn &= ~(transient[initial] | transient[final])
+      uniform = random_state.uniform(low, high, size=len(rates))
+      rates = np.where(drawn, uniform, rates)
+    return rates
 
   def _preferences(self, steps: int) -> tuple[tuple[np.ndarray, float], ...]:
     """Returns preferred modes, each with its probability of replacement."""
@@ -168,6 +232,14 @@ class TransitionEpisodes:
     self.sampler.restore(state)
 
 
+def _moments(
+  count: int, random_state: np.random.RandomState
+) -> tuple[np.ndarray, np.ndarray]:
+  """Returns clip_s and phi_s of Algorithm 1, [N] each."""
+  clips = random_state.choice(schedule_lib.CLIPS, size=count)
+  return clips, random_state.choice(schedule_lib.SWITCH_PHASES, size=count)
+
+
 class ScheduledEpisodes:
   """Fixed schedules: one for all worlds, or row i for world i."""
 
@@ -187,9 +259,7 @@ class ScheduledEpisodes:
       self._schedule.starts[rows],
       self._schedule.clock_rate[rows],
     )
-    last = np.isfinite(schedule.starts).sum(axis=1) - 1
-    final = schedule.modes[np.arange(len(rows)), last]
-    return Episodes(schedule, schedule.modes[:, 0], final)
+    return Episodes(schedule, schedule.modes[:, 0], schedule.last_modes())
 
   def update(self, outcomes: Outcomes) -> None:
     """Does nothing: the schedules are fixed."""

@@ -16,12 +16,17 @@ from typing import Any, Mapping
 
 import numpy as np
 
+from dmc_multimode.suite.imitation import disturbances as disturbances_lib
+from dmc_multimode.suite.imitation import motion_costs
 from dmc_multimode.utils import config
 from dmc_multimode.utils import schedule
 
 _MEMORY = 0.995  # The mean follows about the last 200 episodes.
 _ENOUGH = 1 / 3  # Share of survivors above which assistance fades.
 _CLEARANCE = 0.05  # Metres: clearance at which a swinging foot agrees fully.
+_SWING_HEIGHT = 0.06  # Metres: clearance in the middle of a step's swing.
+_LEAST_SWING = 0.005  # Metres, at its ends.
+_SWING_SLACK = 0.02  # Metres above it that still agree.
 _ZERO = schedule.constant(0.0)
 
 
@@ -44,6 +49,12 @@ class TrainingEvents:
       `suite.imitation.obstacles`.
     push_speed: largest velocity that a push adds, m/s.
     push_interval: mean time between the pushes of a robot, seconds.
+    disturbances: of body, servos and ground, drawn for each episode.
+    disturbance_share: of the way from the nominal robot to the drawn one.
+    sensor_noise: factor of the noise of `observations.Term`.
+    costs: of motions that are not quiet, which are subtracted from the reward
+      and not from normalised returns.
+    cost_share: factor of all costs.
   """
 
   reference_starts: config.Share = 0.5
@@ -54,9 +65,14 @@ class TrainingEvents:
   obstacles: schedule.ScheduleField = _ZERO
   push_speed: schedule.ScheduleField = _ZERO
   push_interval: config.Positive = 1.5
+  disturbances: disturbances_lib.Disturbances = disturbances_lib.NOMINAL
+  disturbance_share: schedule.ShareField = schedule.constant(1.0)
+  sensor_noise: schedule.ScheduleField = _ZERO
+  costs: motion_costs.CostWeights = motion_costs.NONE
+  cost_share: schedule.ShareField = schedule.constant(1.0)
 
   def __post_init__(self) -> None:
-    for name in ('contact_bonus', 'obstacles', 'push_speed'):
+    for name in ('contact_bonus', 'obstacles', 'push_speed', 'sensor_noise'):
       value = getattr(self, name)
       if min(value.first, value.last) < 0:
         raise ValueError(f'{name} must not be negative, got {value}')
@@ -80,6 +96,27 @@ class TrainingEvents:
 
 # Episodes start from rest, edges are in place, and nothing else happens.
 NONE = TrainingEvents(reference_starts=0.0, edge_noise=0.0)
+
+
+def fixed(
+  push_speed: float = 0.0, sensor_noise: float = 0.0, **rows: float
+) -> TrainingEvents:
+  """Returns the events of an evaluation under fixed disturbances.
+
+  Args:
+    push_speed: largest velocity that a push adds, m/s.
+    sensor_noise: factor of the noise of `observations.Term`.
+    **rows: values of `Disturbances` by name.
+
+  Raises:
+    ValueError: a number is out of bounds.
+  """
+  return dataclasses.replace(
+    NONE,
+    push_speed=schedule.constant(push_speed),
+    sensor_noise=schedule.constant(sensor_noise),
+    disturbances=disturbances_lib.NOMINAL.fixed(**rows),
+  )
 
 
 class TakeoffAssistance:
@@ -161,13 +198,16 @@ def contact_schedule_agreement(
   clearance: np.ndarray,
   reference_contact: np.ndarray,
   has_contact: np.ndarray,
+  progress: np.ndarray,
 ) -> np.ndarray:
   """Returns the agreement of feet and reference contacts, in [0, 1], [B].
 
   Not part of Eq. 3, whose contact term is flat between stance and swing. Here a
-  foot that should swing agrees in proportion to its clearance, up to 5 cm; one
-  that should stand agrees in contact. The product over both feet is 0 for a
-  shuffle, which always has one foot right.
+  foot that should swing agrees in proportion to its clearance, up to a height
+  that rises and falls over the swing, 6 cm in its middle, so that the foot is
+  set down softly; far above that, it agrees less. In a flight of both feet 5 cm
+  are enough. A foot that should stand agrees in contact. The product over both
+  feet is 0 for a shuffle, which always has one foot right.
 
   Args:
     contact, reference_contact: feet on the ground (left, right), 0 or 1,
@@ -175,7 +215,14 @@ def contact_schedule_agreement(
     clearance: of the soles over the ground below, metres, [B, 2].
     has_contact: whether the reference prescribes contacts, [B]; where not, the
       agreement is 1.
+    progress: of the swing of a foot while the other stands, in [0, 1]; NaN for
+      feet that do not, [B, 2].
   """
   swing = np.clip(clearance / _CLEARANCE, 0.0, 1.0)
+  bell = np.maximum(_SWING_HEIGHT * np.sin(np.pi * progress), _LEAST_SWING)
+  too_high = (clearance - bell - _SWING_SLACK) / _SWING_HEIGHT
+  stepping = np.clip(clearance / bell, 0.0, 1.0)
+  stepping *= np.clip(1.0 - too_high, 0.0, 1.0)
+  swing = np.where(np.isnan(progress), swing, stepping)
   right = np.where(reference_contact > 0, contact, swing)
   return np.where(has_contact, right.prod(axis=-1), 1.0)

@@ -19,6 +19,7 @@ from typing import Annotated, Any, Mapping
 import numpy as np
 import pydantic
 
+from dmc_multimode.suite.imitation import disturbances
 from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import schedule
 
@@ -40,6 +41,11 @@ class SamplingConfig:
     focus: names of modes that replace a drawn mode likewise, comma-separated.
     focus_fraction: probability that they do; a schedule.
     focus_end: environment steps after which they no longer do; 0 for no end.
+    clock_rates: range of the clock rates of some episodes. Modes that climb or
+      descend keep theirs, 1.
+    clock_rate_fraction: share of the episodes that draw theirs; a schedule.
+    string_fraction: share of the episodes that last twice as long and have up
+      to five commands; a schedule.
   """
 
   adaptive: bool = True
@@ -50,6 +56,18 @@ class SamplingConfig:
   focus: str = ''
   focus_fraction: schedule.ShareField = schedule.constant(0.5)
   focus_end: config_lib.Count = 0
+  clock_rates: disturbances.Range = (1.0, 1.0)
+  clock_rate_fraction: schedule.ShareField = schedule.constant(0.5)
+  string_fraction: schedule.ShareField = schedule.constant(0.0)
+
+  def __post_init__(self) -> None:
+    if self.clock_rates[0] <= 0:
+      raise ValueError(f'clock_rates are positive, got {self.clock_rates}')
+
+  @property
+  def has_strings(self) -> bool:
+    """True if an episode may have more than two commands."""
+    return max(self.string_fraction.first, self.string_fraction.last) > 0
 
   @property
   def focused(self) -> tuple[str, ...]:
@@ -134,8 +152,13 @@ class ModeSampler:
     initial = _draw(
       np.tile(self.initial_probabilities, (count, 1)), random_state
     )
-    final = _draw(self.final_probabilities[initial], random_state)
-    return initial, final
+    return initial, self.sample_final(initial, random_state)
+
+  def sample_final(
+    self, initial: np.ndarray, random_state: np.random.RandomState
+  ) -> np.ndarray:
+    """Draws final modes for initial ones, [count] each."""
+    return _draw(self.final_probabilities[initial], random_state)
 
   def update(
     self, initial: np.ndarray, final: np.ndarray, returns: np.ndarray

@@ -13,10 +13,12 @@ import numpy as np
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track as track_lib
 from dmc_multimode.suite.imitation import composer_task
+from dmc_multimode.suite.imitation import disturbances
 from dmc_multimode.walkers import mini_biped
 
 _SOLE = np.array([0.0, 0.0, 0.01])  # Under the middle of a level foot, metres.
 # Fields of a model that depend on the size of a box.
+_CONTROL = mujoco.mjtState.mjSTATE_CTRL
 _SIZES = ('geom_size', 'geom_rbound', 'geom_aabb', 'bvh_aabb')
 
 
@@ -28,6 +30,7 @@ class MujocoWorlds:
     batch: the engine.
     qpos, qvel: generalised positions [B, 17] and velocities [B, 16], views;
       writing to them sets the state.
+    joint_limits: lower and upper, radians, [10, 2].
   """
 
   def __init__(
@@ -36,6 +39,7 @@ class MujocoWorlds:
     arena: track_lib.Track,
     num_worlds: int,
     num_threads: int,
+    disturbed: disturbances.Disturbances = disturbances.NOMINAL,
   ):
     """Allocates the worlds.
 
@@ -44,6 +48,7 @@ class MujocoWorlds:
       arena: of the task that the model was compiled from.
       num_worlds: B.
       num_threads: 0 takes every core.
+      disturbed: the rows of these that are not nominal can be written.
     """
     self.model = model
     self.batch = mujoco_batch.Batch(model, num_worlds, num_threads)
@@ -62,6 +67,13 @@ class MujocoWorlds:
     self._sizes = {name: self.batch.expand(name) for name in _SIZES}
     self._recorded: dict[str, np.ndarray] = {}
     self._records: dict[str, np.ndarray] = {}
+    self.joint_limits = model.jnt_range[1:]
+    self._body = disturbances.Body(
+      model,
+      disturbed,
+      self.batch.expand,
+      model.body('walker/trunk').id,
+    )
 
   @property
   def state(self) -> np.ndarray:
@@ -74,25 +86,25 @@ class MujocoWorlds:
     self.qpos[ids], self.qvel[ids] = qpos, qvel
 
   def step(
-    self, actions: np.ndarray, bounds: np.ndarray, moving: np.ndarray, num: int
+    self, targets: np.ndarray, moving: np.ndarray, num: int
   ) -> np.ndarray:
     """Steps the physics.
 
     Args:
-      actions: joint targets in radians, [B, 10].
-      bounds: minimum and maximum of the targets, radians, [2, 10].
+      targets: of the joints, radians, [B, 10], or for each physics step,
+        [B, num, 10].
       moving: whether each world is stepped, [B].
       num: physics steps.
 
     Returns:
       Indices of the worlds that diverged, [N].
     """
-    np.clip(actions, bounds[0], bounds[1], out=self._ctrl)
     try:
-      if self._recorded:
-        self._step_and_record(moving, num)
-      else:
+      if targets.ndim == 2 and not self._recorded:
+        self._ctrl[:] = targets
         self.batch.step(ids=moving, nstep=num)
+      else:
+        self._roll_out(targets, moving, num)
     except mujoco_batch.SimulationError as error:
       return np.asarray(error.ids)
     return np.zeros(0, dtype=np.int64)
@@ -118,7 +130,11 @@ class MujocoWorlds:
     """
     return self._records
 
-  def _step_and_record(self, moving: np.ndarray, num: int) -> None:
+  def _roll_out(
+    self, targets: np.ndarray, moving: np.ndarray, num: int
+  ) -> None:
+    """Steps with targets for each physics step, and records; see `step`."""
+
     def zeros(count: int) -> dict[str, np.ndarray]:
       return {
         name: np.zeros((count, num, *field.shape), field.dtype)
@@ -127,8 +143,11 @@ class MujocoWorlds:
 
     # Filled in place, so that a world that diverges takes no record away.
     rows = zeros(int(np.count_nonzero(moving)))
+    if targets.ndim == 2:
+      targets = np.repeat(targets[:, None], num, axis=1)
+    controls = targets if moving.all() else targets[moving]
     try:
-      self.batch.rollout(num, record=[*rows], ids=moving, out=rows)
+      self.batch.rollout(num, controls, _CONTROL, [*rows], moving, rows)
     finally:
       self._records = rows if moving.all() else zeros(len(moving))
       for name, row in rows.items():
@@ -144,6 +163,14 @@ class MujocoWorlds:
     track_lib.write_sizes(halves, np.array(self._boxes), self._bvhs, **rows)
     for name, field in self._sizes.items():
       field[ids] = rows[name]
+
+  def write_body(
+    self, ids: np.ndarray, values: Mapping[str, np.ndarray]
+  ) -> None:
+    """Writes disturbances into the models of `ids`; see `disturbances.Body`."""
+    self._body.write(ids, values)
+    if self._body.changes_mass:
+      self.batch.set_const(ids)
 
   def touch(self) -> np.ndarray:
     """Returns the forces on the soles (left, right), newtons, [B, 2]."""

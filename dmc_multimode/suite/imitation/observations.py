@@ -1,19 +1,29 @@
 """Observations of the policy and the value function: pure, batched.
 
-`POLICY_TERMS` and `CRITIC_TERMS` declare every part of the flat observation, in
-order: the policy's are [clock (2), command (n_m), state (31)] as in the paper.
-Sizes, the layout and the left-right mirror image follow from the declarations.
+`PAPER_TERMS`, `EXTRA_TERMS` and `CRITIC_TERMS` declare every part of the flat
+observation, in order: [clock (2), command (n_m), state (31)] as in the paper;
+those of `EXTRA_TERMS` that the task's configuration names; and, in training
+alone, what the value function observes besides. Sizes, the layout, the
+left-right mirror image and the sensor noise follow from the declarations.
 Orientation and heading-dependent quantities are relative to the commanded
 heading, never to the world.
 
-The policy observes neither its distance from the reference nor the next
-command, yet both determine the return. A value function that is used in
-training alone may observe them (an asymmetric critic, Pinto et al. 2017), which
-takes their variance out of the advantages: the privileged critic observations.
+With the paper's terms the policy observes neither its distance from the
+reference nor the next command, yet both determine the return. A value function
+that is used in training alone may observe them (an asymmetric critic, Pinto et
+al. 2017), which takes their variance out of the advantages: the privileged
+critic observations.
 """
 
 import dataclasses
-from typing import Any, Callable, Mapping, NamedTuple, TYPE_CHECKING
+from typing import (
+  Any,
+  Callable,
+  Iterable,
+  Mapping,
+  NamedTuple,
+  TYPE_CHECKING,
+)
 
 import numpy as np
 
@@ -26,6 +36,7 @@ NUM_JOINTS = 10
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 _HORIZON = 1.5  # Seconds: the countdown saturates here.
 _SIGHT = 1.0  # Metres: the distance to a ledge saturates here.
+_ASTRAY = 0.5  # Metres: the displacement saturates here.
 
 
 class PolicyView(NamedTuple):
@@ -40,6 +51,10 @@ class PolicyView(NamedTuple):
     heading: commanded heading, radians, [B].
     phase: in [0, 1], [B].
     command: latent of the commanded mode, [B, n_m].
+    displacement: of the trunk from the reference, x and y, world metres,
+      [B, 2].
+    clock_rate: rate of the phase clock, 1 being the reference's own, [B].
+    actions: last joint targets, the newest first, radians, [B, H, 10].
     quaternion: of the trunk, (w, x, y, z), finite, [B, 4].
     trunk: the same orientations as rotations, B of them.
   """
@@ -50,6 +65,9 @@ class PolicyView(NamedTuple):
   heading: np.ndarray
   phase: np.ndarray
   command: np.ndarray
+  displacement: np.ndarray
+  clock_rate: np.ndarray
+  actions: np.ndarray
   quaternion: np.ndarray
   trunk: 'transform.Rotation'
 
@@ -100,6 +118,8 @@ class Term:
     signs: of the entries in the left-right mirror image, [size]; 1 if None.
     order: indices of the entries in the mirror image, [size]; itself if None.
     frame: that its vectors are in, one of `FRAMES`; empty for none.
+    noise: standard deviation of the sensor noise that `sensor_noise` of 1
+      means, in the unit.
   """
 
   name: str
@@ -109,6 +129,7 @@ class Term:
   signs: tuple[int, ...] | None = None
   order: tuple[int, ...] | None = None
   frame: str = ''
+  noise: float = 0.0
 
 
 # Equal angles of the two legs, left leg first, are mirror images.
@@ -116,7 +137,7 @@ _LEGS_EXCHANGED = (*range(5, NUM_JOINTS), *range(5))
 # Reflection in the plane y = 0.
 _VECTOR, _AXIAL_VECTOR, _QUATERNION = (1, -1, 1), (-1, 1, -1), (1, -1, 1, -1)
 
-POLICY_TERMS: tuple[Term, ...] = (
+PAPER_TERMS: tuple[Term, ...] = (
   # The mirror image of the clock depends on the mode.
   Term('clock', '', lambda view: clock(view.phase), 2),
   Term('command', '', lambda view: view.command, None),
@@ -124,8 +145,8 @@ POLICY_TERMS: tuple[Term, ...] = (
     'height',
     'm',
     lambda view: view.qpos[:, 2:3] - view.support[:, None],
-    1,
     frame='world',
+    noise=0.01,
   ),
   Term(
     'orientation',
@@ -134,6 +155,7 @@ POLICY_TERMS: tuple[Term, ...] = (
     4,
     _QUATERNION,
     frame='heading',
+    noise=0.005,
   ),
   Term(
     'joints_pos',
@@ -141,6 +163,7 @@ POLICY_TERMS: tuple[Term, ...] = (
     lambda view: view.qpos[:, 7:],
     NUM_JOINTS,
     order=_LEGS_EXCHANGED,
+    noise=0.01,
   ),
   Term(
     'velocity',
@@ -149,6 +172,7 @@ POLICY_TERMS: tuple[Term, ...] = (
     3,
     _VECTOR,
     frame='trunk',
+    noise=0.05,
   ),
   Term(
     'angular_velocity',
@@ -157,6 +181,7 @@ POLICY_TERMS: tuple[Term, ...] = (
     3,
     _AXIAL_VECTOR,
     frame='trunk',
+    noise=0.1,
   ),
   Term(
     'joints_vel',
@@ -164,8 +189,32 @@ POLICY_TERMS: tuple[Term, ...] = (
     lambda view: view.qvel[:, 6:],
     NUM_JOINTS,
     order=_LEGS_EXCHANGED,
+    noise=0.1,
   ),
 )
+EXTRA_TERMS: tuple[Term, ...] = (
+  # On a robot: odometry since the command.
+  Term(
+    'displacement',
+    'm',
+    lambda view: np.clip(
+      _in_heading(view.displacement, view.heading), -_ASTRAY, _ASTRAY
+    ),
+    2,
+    (1, -1),
+    frame='heading',
+    noise=0.01,
+  ),
+  Term('clock_rate', '', lambda view: view.clock_rate[:, None]),
+  Term(
+    'previous_action',
+    'rad',
+    lambda view: view.actions[:, 0],
+    NUM_JOINTS,
+    order=_LEGS_EXCHANGED,
+  ),
+)
+EXTRA_NAMES = tuple(term.name for term in EXTRA_TERMS)
 CRITIC_TERMS: tuple[Term, ...] = (
   Term(
     'position_error',
@@ -184,44 +233,77 @@ CRITIC_TERMS: tuple[Term, ...] = (
 )
 
 
-def terms(privileged: bool = False) -> tuple[Term, ...]:
-  """Returns the policy's terms, followed by the critic's if `privileged`."""
-  return POLICY_TERMS + CRITIC_TERMS if privileged else POLICY_TERMS
+def terms(
+  privileged: bool = False, extra: Iterable[str] = ()
+) -> tuple[Term, ...]:
+  """Returns the terms of an observation, in order.
+
+  Args:
+    privileged: with the critic's terms.
+    extra: names of the terms beyond the paper's, of `EXTRA_TERMS`.
+
+  Raises:
+    ValueError: a name is unknown.
+  """
+  chosen = tuple(extra)
+  for name in chosen:
+    if name not in EXTRA_NAMES:
+      raise ValueError(
+        f'unknown observation {name!r:.50}; there are {", ".join(EXTRA_NAMES)}'
+      )
+  more = tuple(term for term in EXTRA_TERMS if term.name in chosen)
+  return PAPER_TERMS + more + (CRITIC_TERMS if privileged else ())
 
 
 def layout(
-  latent_dim: int, privileged: bool = False
+  latent_dim: int, privileged: bool = False, extra: Iterable[str] = ()
 ) -> tuple[tuple[str, int], ...]:
   """Returns (name, size) of every part of the flat observation, in order."""
   return tuple(
     (term.name, latent_dim if term.size is None else term.size)
-    for term in terms(privileged)
+    for term in terms(privileged, extra)
   )
 
 
-def size(latent_dim: int, privileged: bool = False) -> int:
+def size(
+  latent_dim: int, privileged: bool = False, extra: Iterable[str] = ()
+) -> int:
   """Returns the length D of the flat observation."""
-  return sum(length for _, length in layout(latent_dim, privileged))
+  return sum(length for _, length in layout(latent_dim, privileged, extra))
 
 
-def part(name: str, latent_dim: int) -> slice:
-  """Returns the place of a part in flat observations."""
+def part(
+  name: str,
+  latent_dim: int,
+  privileged: bool = True,
+  extra: Iterable[str] = (),
+) -> slice:
+  """Returns the place of a part in flat observations; see `layout`."""
   start = 0
-  for other, length in layout(latent_dim, privileged=True):
+  for other, length in layout(latent_dim, privileged, extra):
     if other == name:
       return slice(start, start + length)
     start += length
   raise ValueError(f'{name!r} is not a part of the observation.')
 
 
+def noise(latent_dim: int, extra: Iterable[str] = ()) -> np.ndarray:
+  """Returns the noise's deviations of the policy's observation, [D]."""
+  return np.repeat(
+    [term.noise for term in terms(extra=extra)],
+    [length for _, length in layout(latent_dim, extra=extra)],
+  )
+
+
 def mirror(
-  latent_dim: int, privileged: bool = False
+  latent_dim: int, privileged: bool = False, extra: Iterable[str] = ()
 ) -> tuple[np.ndarray, np.ndarray, tuple[int, ...]]:
   """Returns the left-right mirror image x'[i] = signs[i] * x[order[i]].
 
   Args:
     latent_dim: n_m.
     privileged: with the critic's terms.
+    extra: names of the terms beyond the paper's.
 
   Returns:
     The order [D] and the signs, float32 [D], of flat observations, and the
@@ -229,7 +311,9 @@ def mirror(
   """
   orders, signs, latents, start = [], [], [], 0
   for term, (_, length) in zip(
-    terms(privileged), layout(latent_dim, privileged), strict=True
+    terms(privileged, extra),
+    layout(latent_dim, privileged, extra),
+    strict=True,
   ):
     orders.append(start + np.asarray(term.order or range(length)))
     signs.append(np.array(term.signs or (1,) * length, dtype=np.float32))
@@ -273,6 +357,9 @@ def policy_view(
   heading: np.ndarray,
   phase: np.ndarray,
   command: np.ndarray,
+  displacement: np.ndarray,
+  clock_rate: np.ndarray,
+  actions: np.ndarray,
 ) -> PolicyView:
   """Returns the inputs of the policy's terms; see `PolicyView`."""
   from scipy.spatial import transform  # Late: scipy imports slowly.
@@ -283,13 +370,25 @@ def policy_view(
   )
   trunk = transform.Rotation.from_quat(quaternion, scalar_first=True)
   return PolicyView(
-    qpos, qvel, support, heading, phase, command, quaternion, trunk
+    qpos,
+    qvel,
+    support,
+    heading,
+    phase,
+    command,
+    displacement,
+    clock_rate,
+    actions,
+    quaternion,
+    trunk,
   )
 
 
-def observe(view: PolicyView) -> dict[str, np.ndarray]:
+def observe(
+  view: PolicyView, extra: Iterable[str] = ()
+) -> dict[str, np.ndarray]:
   """Returns the policy's parts by name, in the order of `layout`."""
-  return {term.name: term.function(view) for term in POLICY_TERMS}
+  return {term.name: term.function(view) for term in terms(extra=extra)}
 
 
 def observe_privileged(view: CriticView) -> dict[str, np.ndarray]:
@@ -303,10 +402,10 @@ def flatten(parts: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def _in_heading(vectors: np.ndarray, heading: np.ndarray) -> np.ndarray:
-  """Expresses world vectors [B, 3] in frames turned by `heading` about z."""
-  x, y, z = vectors.T
+  """Expresses world vectors [B, 2 or 3] in frames turned by `heading`."""
+  x, y, *z = vectors.T
   c, s = np.cos(heading), np.sin(heading)
-  return np.stack([c * x + s * y, c * y - s * x, z], axis=-1)
+  return np.stack([c * x + s * y, c * y - s * x, *z], axis=-1)
 
 
 def _ground_ahead(view: CriticView) -> np.ndarray:

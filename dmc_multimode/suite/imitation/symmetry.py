@@ -6,7 +6,7 @@ are merely exchanged. A mode whose reference looks the same half a cycle later
 is mirrored half a cycle out of phase, so that its feet alternate.
 """
 
-from typing import NamedTuple
+from typing import Iterable, NamedTuple
 
 import numpy as np
 
@@ -37,13 +37,16 @@ class MirrorImage(NamedTuple):
 
 
 def mirror_image(
-  mode_set: mode_set_lib.ModeSet, with_privileged: bool = False
+  mode_set: mode_set_lib.ModeSet,
+  with_privileged: bool = False,
+  extra: Iterable[str] = (),
 ) -> MirrorImage:
   """Returns the mirror image for a mode set.
 
   Args:
     mode_set: the modes.
     with_privileged: whether observations end with the privileged parts.
+    extra: names of the observations beyond the paper's.
 
   Raises:
     ValueError: the set holds a mode but not its mirror image.
@@ -58,7 +61,7 @@ def mirror_image(
   legs = len(mini_biped.LEG_JOINTS)
   exchanged = np.roll(np.arange(2 * legs), legs)
   order, signs, commands = observations.mirror(
-    mode_set.latent_dim, with_privileged
+    mode_set.latent_dim, with_privileged, extra
   )
   return MirrorImage(
     order,

@@ -16,7 +16,6 @@ import numpy as np
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.suite.imitation import config as imitation_config
-from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import constants
@@ -162,9 +161,8 @@ def task_config(
   """Returns the task with tracking limits off: only falls terminate."""
   task = policy.config
   duration = reaching.knots * reaching.knot_duration
-  return dataclasses.replace(
+  return imitation_config.evaluated(
     task,
-    events=events.NONE,
     limits=terminations.falls_alone(task.limits),
     time_limit=max(duration, task.control_timestep),
   )

@@ -5,7 +5,6 @@ import json
 import pathlib
 from typing import Any
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -36,28 +35,6 @@ def _worlds(folder: pathlib.Path, case: Any, mode: int = 0) -> Any:
   return robustness.Worlds(case, pretrained.load(folder), plan, _CONFIG, 0)
 
 
-def test_masses_and_friction(folder: pathlib.Path) -> None:
-  plain = _worlds(folder, robustness.Case()).physics.model
-  other = _worlds(folder, robustness.Case(mass=1.1, friction=0.9)).physics.model
-  total = mujoco.mj_getTotalmass(plain)
-  assert mujoco.mj_getTotalmass(other) == pytest.approx(1.1 * total)
-  np.testing.assert_allclose(other.body_inertia, 1.1 * plain.body_inertia)
-  # What the solver derives from the masses follows.
-  np.testing.assert_allclose(
-    other.body_subtreemass, 1.1 * plain.body_subtreemass
-  )
-  robot = plain.body_invweight0[:, 0] > 0
-  assert robot.any()
-  assert (
-    other.body_invweight0[robot, 0] < plain.body_invweight0[robot, 0]
-  ).all()
-  sliding = other.geom_friction[:, 0] / plain.geom_friction[:, 0]
-  np.testing.assert_allclose(sliding, 0.9)
-  np.testing.assert_array_equal(
-    other.geom_friction[:, 1:], plain.geom_friction[:, 1:]
-  )
-
-
 @pytest.mark.parametrize('offset', [-0.06, 0.06])
 def test_edges(folder: pathlib.Path, offset: float) -> None:
   plain = _worlds(folder, robustness.Case(), mode=1)
@@ -76,7 +53,7 @@ def test_edges(folder: pathlib.Path, offset: float) -> None:
 
 def test_pushes_come_once_a_second(folder: pathlib.Path) -> None:
   plain = _worlds(folder, robustness.Case())
-  other = _worlds(folder, robustness.Case(push=0.3))
+  other = _worlds(folder, robustness.Case(push=(0.3, 0.3)))
   action = np.tile(plain.standing_action(), (3, 1))
   plain.reset()
   other.reset()
@@ -94,11 +71,8 @@ def test_pushes_come_once_a_second(folder: pathlib.Path) -> None:
   assert not np.array_equal(other.qvel, plain.qvel)
 
 
-def test_slope_bumps_and_weak_servos(folder: pathlib.Path) -> None:
-  worlds = _worlds(folder, robustness.Case(slope=5.0, torque_limit=18.0))
-  x, _, z = worlds.physics.model.opt.gravity
-  assert np.rad2deg(np.arctan2(-x, -z)) == pytest.approx(5.0)
-  assert np.hypot(x, z) == pytest.approx(9.81)
+def test_weak_servos_and_bumps(folder: pathlib.Path) -> None:
+  worlds = _worlds(folder, robustness.Case(torque_limit=18.0))
   assert np.abs(worlds.physics.model.actuator_forcerange).max() == 18.0
   worlds = _worlds(folder, robustness.Case(bumps=0.03), mode=1)
   worlds.reset()

@@ -72,7 +72,7 @@ def test_contacts_are_zero_where_there_are_none() -> None:
   assert found.shape[1] == network.num_features(True)
   np.testing.assert_array_equal(found[:, 7:], 0)
   walk = network.features(library.modes()['walk_left'], True)
-  np.testing.assert_array_equal(walk[[0, 9, 11, 20], 7], [1, 1, 0, 0])
+  np.testing.assert_array_equal(walk[[0, 9, 11, 18], 7], [1, 1, 0, 0])
 
 
 def test_one_mode_is_at_the_origin() -> None:

@@ -37,10 +37,15 @@ _LAUNCH = _MODE_SET.index('launch')
 _TOLERANCE = 1e-9
 _FLOAT32 = 1e-6  # Of the float32 observations, of which many are about 1.
 _STEPS = 30
+_SIZE = 37 + 13  # The paper's observation of four modes, and the other terms.
 _GAINS = rewards.RewardGains().with_weights(
   position=0.35, orientation=0.35, contact=0.3
 )
-_ENDING = config.ImitationConfig(gains=_GAINS)
+_ENDING = config.ImitationConfig(
+  gains=_GAINS,
+  commands_from_ground=False,
+  extra_observations=observations.EXTRA_NAMES,
+)
 _ENDLESS = dataclasses.replace(_ENDING, limits=terminations.NO_LIMITS)
 
 
@@ -116,12 +121,13 @@ def _ends(steps: list[batched_env.BatchedTimeStep]) -> int:
 def _assert_same(mine: Any, other: Any) -> None:
   """Compares two lists of steps bit for bit."""
   for one, two in zip(mine, other, strict=True):
-    for name in one._fields[:-1]:
+    for name in one._fields[:-2]:
       np.testing.assert_array_equal(
         getattr(one, name), getattr(two, name), err_msg=name
       )
-    for a, b in zip(one.results, two.results, strict=True):
-      np.testing.assert_array_equal(a, b)
+    for batch in ('results', 'transitions'):
+      for a, b in zip(getattr(one, batch), getattr(two, batch), strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 # --- One action sequence and one mode schedule, driven through both engines.
@@ -282,14 +288,13 @@ def test_records_of_every_physics_step() -> None:
   """Recording changes nothing, and is what single physics steps show."""
   plain, fine, worlds = (_begin(_transitions(), 3) for _ in range(3))
   worlds.physics.record(['qpos', 'actuator_force'])
-  bounds = np.array([[-4.0], [4.0]])
   for moving in ([True, True, True], [True, False, True]):
     plain.moving[:] = worlds.moving[:] = moving
     action = worlds.standing_action() + np.array([[0.1], [0.2], [0.3]])
     _assert_same([worlds.step(action)], [plain.step(action)])
     records = worlds.physics.records
     for k in range(worlds.config.substeps):
-      fine.physics.step(action, bounds, np.array(moving), 1)
+      fine.physics.step(action, np.array(moving), 1)
       expected = np.where(np.array(moving)[:, None], fine.qpos, 0)
       np.testing.assert_array_equal(records['qpos'][:, k], expected)
   assert records['actuator_force'].shape == (3, worlds.config.substeps, 10)
@@ -603,7 +608,9 @@ def test_contact_bonus() -> None:
 def _parts(observation: np.ndarray, latents: int) -> dict[str, np.ndarray]:
   """Cuts an observation into its terms."""
   parts, start = {}, 0
-  for name, length in observations.layout(latents, privileged=True):
+  for name, length in observations.layout(
+    latents, privileged=True, extra=observations.EXTRA_NAMES
+  ):
     parts[name] = observation[:, start : start + length]
     start += length
   assert start == observation.shape[1]
@@ -615,8 +622,8 @@ def test_policy_sees_what_it_sees_without() -> None:
   steps = _rollout(more, 60)
   cut = [
     step._replace(
-      observation=step.observation[:, :37],
-      final_observation=step.final_observation[:, :37],
+      observation=step.observation[:, :_SIZE],
+      final_observation=step.final_observation[:, :_SIZE],
     )
     for step in steps
   ]
@@ -719,11 +726,13 @@ def test_model_has_all_that_moves_and_nothing_to_look_at() -> None:
     )
 
 
-@pytest.mark.parametrize(('privileged', 'size'), [(False, 37), (True, 50)])
+@pytest.mark.parametrize(
+  ('privileged', 'size'), [(False, _SIZE), (True, _SIZE + 13)]
+)
 def test_specs(privileged: bool, size: int) -> None:
   worlds = _begin(_transitions(), 3, privileged=privileged)
   assert worlds.observation_spec().shape == (size,)
-  assert worlds.privileged_size == size - 37
+  assert worlds.privileged_size == size - _SIZE
   assert worlds.reset().shape == (3, size)
   assert worlds.control_timestep == 0.03
   assert worlds.action_spec().shape == (10,)

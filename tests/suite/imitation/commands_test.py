@@ -68,16 +68,18 @@ def _restart(
   tracker.reset(np.array([world]), plan, np.zeros(1), np.array([support]))
 
 
-def _run(tracker: commands.ModeTracker, steps: int) -> list[int]:
+def _run(
+  tracker: commands.ModeTracker, steps: int, gated: bool = False
+) -> list[int]:
   """Steps with robots at (5, 6, 0.4) on a support of 0.2; the new modes."""
   taken = []
   for _ in range(steps):
     tracker.advance()
-    ids, modes = tracker.pop_due_commands()
+    tracker.take_due_commands()
+    ids, modes = tracker.pop_pending(gated)
     taken += modes.tolist()
-    tracker.command(
-      ids, modes, np.tile([5.0, 6.0, 0.4], (len(ids), 1)), 0.2 + 0.0 * ids
-    )
+    position = np.tile([5.0, 6.0, 0.4], (len(ids), 1))
+    tracker.command(ids, modes, position, 0.2 + 0.0 * ids, 0.0 * position)
   return taken
 
 
@@ -176,6 +178,76 @@ def test_heading_is_the_commanded_one() -> None:
   )
 
 
+@pytest.mark.parametrize(
+  ('phase', 'clock_rate', 'held'),
+  [
+    # Steps of 0.1 s. A leap flies from phase 0.42 to 0.70, that is from 0.504 s
+    # to 0.84 s, and cannot be stopped in the 0.15 s before.
+    (0.2, 1.0, 0),
+    (0.3, 1.0, 5),
+    (0.5, 1.0, 3),
+    (0.7, 1.0, 0),
+    (0.2, 2.0, 3),
+  ],
+)
+def test_command_waits_for_the_ground(
+  phase: float, clock_rate: float, held: int
+) -> None:
+  modes = [_LIBRARY.index(name) for name in ('leap_forward', 'idle')]
+  plan = schedule.ModeSchedule(
+    np.array([modes]), np.array([[0.0, 0.1]]), np.array([clock_rate])
+  )
+  for gated in (False, True):
+    tracker = commands.ModeTracker(_LIBRARY, 0.1, 1, 2)
+    tracker.reset(
+      _FIRST, plan, np.array([phase - clock_rate / 12]), np.zeros(1)
+    )
+    taken = [bool(_run(tracker, 1, gated)) for _ in range(9)]
+    assert taken.index(True) == (held if gated else 0)
+
+
+def test_mode_with_a_take_off_runs_to_its_end() -> None:
+  modes = np.array([[_LIBRARY.index(n) for n in ('launch', 'idle', 'launch')]])
+  plan = schedule.ModeSchedule(modes, np.array([[0.0, 0.2, 5.0]]), np.ones(1))
+  tracker = commands.ModeTracker(_LIBRARY, 0.1, 1, 3)
+  tracker.reset(_FIRST, plan, np.zeros(1), np.zeros(1))
+  assert _run(tracker, 10, gated=True) == []
+  seconds, latents = tracker.upcoming()  # It waits.
+  assert seconds == 0 and np.array_equal(latents, _LIBRARY.latents[modes[:, 1]])
+  assert _run(tracker, 1, gated=True) == [modes[0, 1]]
+  tracker.state.pending[:] = modes[0, 0]
+  tracker.state.pending[:] = modes[0, 1]  # A later command replaces it.
+  assert _run(tracker, 1, gated=True) == []
+
+
+@pytest.mark.parametrize(
+  ('pace', 'steps', 'x'),
+  # The first cycle of 2 m: v0 t + (1 - v0) t^2 / 2 of it; then in full.
+  [(0.0, 2, 0.25), (0.0, 4, 1.0), (0.0, 6, 2.0), (0.5, 2, 0.625), (1, 3, 1.5)],
+)
+def test_gait_starts_at_the_pace_of_the_robot(
+  pace: float, steps: int, x: float
+) -> None:
+  tracker = commands.ModeTracker(_MODE_SET, _TIMESTEP, 1, 1, ramp_start=True)
+  plan = schedule.single(np.array([_STAND]))
+  tracker.reset(_FIRST, plan, np.zeros(1), np.zeros(1))
+  velocity = np.array([[2.0 * pace, -1.0, 0.0]])
+  origin = np.zeros((1, 3))
+  tracker.command(_FIRST, np.array([_GO]), origin, np.zeros(1), velocity)
+  _run(tracker, steps)
+  np.testing.assert_allclose(tracker.reference().position, [[x, 0.0, 0.5]])
+
+
+def test_fast_flight_is_lower() -> None:
+  leap = _LIBRARY.index('leap_forward')
+  for rate, share in ((0.5, 1.0), (1.0, 1.0), (2.0, 0.25)):
+    tracker = commands.ModeTracker(_LIBRARY, 0.03, 1, 1)
+    plan = schedule.single(np.array([leap]), rate)
+    tracker.reset(_FIRST, plan, np.array([0.56]), np.zeros(1))
+    height = tracker.reference().position[0, 2]
+    np.testing.assert_allclose(height, 0.5 + share * 0.18)
+
+
 # --- The ledge that a mode is about to climb.
 
 
@@ -214,8 +286,9 @@ def test_expected_support(x: float, expected: tuple[float, ...]) -> None:
 
 def test_next_command_and_next_episode_forget_the_ledge() -> None:
   tracker, far = _expecting(), np.full(3, 9.0)
+  origin = np.zeros((1, 3))
   tracker.command(
-    np.array([1]), np.array([_GO]), np.zeros((1, 3)), np.array([0.5])
+    np.array([1]), np.array([_GO]), origin, np.array([0.5]), origin
   )
   np.testing.assert_array_equal(tracker.expected_support(far), [0.0, 0.5, 0.2])
   assert (tracker.state.edge[1], tracker.state.rise[1]) == (np.inf, 0.0)

@@ -77,6 +77,8 @@ def test_reads_what_earlier_versions_wrote() -> None:
     ),
     time_limit=3.0,
     servo_inertia=False,
+    extra_observations=(),
+    ramp_start=False,
     commands_from_ground=False,
   )
 

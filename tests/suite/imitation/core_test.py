@@ -258,7 +258,8 @@ def _begun(
   On adaptive terrain they begin on level ground, which the segments replace.
   """
   task_config = config.ImitationConfig(
-    events=dataclasses.replace(events.NONE, **changes)
+    events=dataclasses.replace(events.NONE, **changes),
+    commands_from_ground=False,
   )
   count = len(names)
   core = imitation_core.ImitationCore(
@@ -282,7 +283,11 @@ def _command(
 ) -> np.ndarray:
   """Commands modes in all worlds, where their robots are at `x`."""
   return core.command(
-    np.arange(len(names)), _modes(*names), _qpos(x), random_state
+    np.arange(len(names)),
+    _modes(*names),
+    _qpos(x),
+    np.zeros((len(names), 16)),
+    random_state,
   )
 
 
@@ -314,7 +319,9 @@ def _drawing(
 def test_commands_meet_what_is_drawn() -> None:
   """At 0 m, and at 1, 2, and 3 m on a ledge of 0.2 m that begins at 0.5 m."""
   ledge = behind, _ = (-20.0, 0.5, 0.0), (0.5, _GROUND_END, 0.2)
-  core, random_state = _begun(['idle'] * 4, ledge, obstacles=1.0)
+  core, random_state = _begun(
+    ['idle'] * 3 + ['hop_forward'], ledge, obstacles=1.0
+  )
   names = ['walk_forward', 'leap_forward', 'launch', 'idle']
   with _drawing(
     [0.8, 0.6, 0.3, _NONE], [-0.1, 0.05, 0.2, 0.0], [0.0, 0.3, 0.1, 0.0]

@@ -34,17 +34,35 @@ def test_switch_times() -> None:
   np.testing.assert_array_equal(modes[:, 0], drawn.initial)
   np.testing.assert_array_equal(modes[:, 1], drawn.final)
   cycles = starts[:, 1] / _PI2.bank.durations[drawn.initial]
-  launch, leap = _PI2.index('launch'), _PI2.index('leap_forward')
-  waits = drawn.initial == leap
-  level = (drawn.initial != launch) & ~waits
+  launches = drawn.initial == _PI2.index('launch')
   seen = lambda rows: set(np.round(cycles[rows], 6))
-  assert seen(level) == {0.25, 0.5, 0.75, 1.25, 1.5, 1.75}
-  # A leap, which flies from 0.42 to 0.70, is left on land.
-  assert seen(waits) == {0.25, 0.7, 0.75, 1.25, 1.7, 1.75}
-  # Launch is not left before its end.
-  assert seen(~level & ~waits) == {1.0, 1.25, 1.5, 1.75}
+  assert seen(~launches) == {0.25, 0.5, 0.75, 1.25, 1.5, 1.75}
+  # Launch is not left before its touch-down.
+  assert seen(launches) == {0.82, 1.25, 1.5, 1.75}
   pairs = set(zip(drawn.initial, drawn.final, strict=True))
   assert len(pairs) == len(_PI2) ** 2
+
+
+def test_strings_of_transitions_and_clock_rates() -> None:
+  config = mode_sampler.SamplingConfig(
+    string_fraction=schedules.constant(0.5), clock_rates=(0.5, 3.0)
+  )
+  drawn = _draw(config, 0)
+  modes, starts = drawn.schedule.modes, drawn.schedule.starts
+  commands = np.isfinite(starts).sum(axis=1)
+  strings = np.equal(drawn.stretch, 2)
+  assert strings.mean() == pytest.approx(0.5, abs=0.03)
+  assert set(commands[~strings]) == {2} and set(commands) == {2, 3, 4, 5}
+  np.testing.assert_array_equal(
+    drawn.final, modes[np.arange(len(modes)), commands - 1]
+  )
+  rates = drawn.schedule.clock_rate
+  used = np.isfinite(starts)
+  climbs = (used & (modes == _PI2.index('launch'))).any(axis=1)
+  assert (rates[climbs] == 1).all()
+  short = ~climbs & ~strings
+  assert (rates[short] != 1).mean() == pytest.approx(0.5, abs=0.05)
+  assert 0.5 <= rates.min() < 0.6 and 2.9 < rates.max() <= 3.0
 
 
 def test_gaits_come_first() -> None:

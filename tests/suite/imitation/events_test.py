@@ -99,11 +99,13 @@ def test_boost(
 @pytest.mark.parametrize(
   ('contact', 'clearance', 'wanted', 'expected'),
   [
-    # Left stance: both down, as wanted, lower, both up, the wrong foot up.
+    # The middle of a left stance: both down, as wanted, lower, too high, both
+    # up, the wrong foot up.
     ((1.0, 0.0), (0.0, 0.0), (1.0, 0.0), 0.0),
-    ((1.0, 0.0), (0.0, 0.05), (1.0, 0.0), 1.0),
-    ((1.0, 0.0), (0.0, 0.02), (1.0, 0.0), 0.4),
-    ((0.0, 0.0), (0.02, 0.05), (1.0, 0.0), 0.0),
+    ((1.0, 0.0), (0.0, 0.07), (1.0, 0.0), 1.0),
+    ((1.0, 0.0), (0.0, 0.03), (1.0, 0.0), 0.5),
+    ((1.0, 0.0), (0.0, 0.11), (1.0, 0.0), 0.5),
+    ((0.0, 0.0), (0.02, 0.06), (1.0, 0.0), 0.0),
     ((0.0, 1.0), (0.07, 0.0), (1.0, 0.0), 0.0),
     # Flight: by the height of both, within bounds.
     ((0.0, 0.0), (0.01, 0.03), (0.0, 0.0), 0.12),
@@ -126,5 +128,6 @@ def test_contact_schedule_agreement_by_hand(
       np.array([clearance]),
       np.array([wanted]),
       np.array([prescribed]),
+      np.where(sum(wanted) == 1, [[np.nan, 0.5]], np.nan),
     )
     np.testing.assert_allclose(found, [value])

@@ -31,7 +31,11 @@ def _policy_sees(
       heading=np.array([heading]),
       phase=np.array([0.25]),
       command=np.array([[7.0, 8.0, 9.0, 10.0]]),
-    )
+      displacement=np.array([[0.3, -0.8]]),
+      clock_rate=np.array([1.5]),
+      actions=np.stack([_JOINTS + 30, _JOINTS])[None],
+    ),
+    observations.EXTRA_NAMES,
   )
 
 
@@ -68,6 +72,9 @@ _TERMS: dict[str, tuple[Any, Any]] = {
   'velocity': ((2.0, 0.0, 3.0), (2.0, 0.0, 3.0)),
   'angular_velocity': ((0.1, 0.2, 0.3), (-0.1, 0.2, -0.3)),
   'joints_vel': (_JOINTS + 20, _EXCHANGED + 20),
+  'displacement': ((0.3, -0.5), (0.3, 0.5)),  # Saturated.
+  'clock_rate': ((1.5,), (1.5,)),
+  'previous_action': (_JOINTS + 30, _EXCHANGED + 30),
   'position_error': ((0.1, 0.2, -0.3), (0.1, -0.2, -0.3)),
   'contact': ((1.0, 0.0), (0.0, 1.0)),
   'countdown': ((0.6,), (0.6,)),
@@ -78,30 +85,41 @@ _TERMS: dict[str, tuple[Any, Any]] = {
 
 def test_terms_by_hand() -> None:
   parts = {**_policy_sees(), **_critic_sees()}
-  assert [term.name for term in observations.terms(True)] == list(_TERMS)
+  terms = observations.terms(True, observations.EXTRA_NAMES)
+  assert [term.name for term in terms] == list(_TERMS)
   assert list(parts) == list(_TERMS)
   for name, (expected, _) in _TERMS.items():
     np.testing.assert_allclose(parts[name], [expected], atol=1e-12)
 
 
 def test_mirror_image_by_hand() -> None:
-  order, signs, latents = observations.mirror(4, privileged=True)
+  order, signs, latents = observations.mirror(4, True, observations.EXTRA_NAMES)
   flat = observations.flatten({**_policy_sees(), **_critic_sees()})[0]
   expected = np.concatenate([mirrored for _, mirrored in _TERMS.values()])
   np.testing.assert_allclose(signs * flat[order], expected, atol=1e-6)
   np.testing.assert_array_equal(order[order], np.arange(len(order)))
-  assert latents == (2, 43)
+  assert latents == (2, 56)
 
 
 def test_layout() -> None:
   parts = {**_policy_sees(), **_critic_sees()}
   sizes = [(name, part.shape[1]) for name, part in parts.items()]
-  assert tuple(sizes) == observations.layout(4, privileged=True)
+  extra = observations.EXTRA_NAMES
+  assert tuple(sizes) == observations.layout(4, True, extra)
   assert tuple(sizes[:8]) == observations.layout(4)
   assert (observations.size(4), observations.size(11)) == (37, 44)
-  assert observations.size(4, privileged=True) == sum(size for _, size in sizes)
+  assert observations.size(4, True, extra) == sum(size for _, size in sizes)
   flat = observations.flatten(_policy_sees())
-  assert (flat.shape, flat.dtype) == ((1, 37), np.float32)
+  assert (flat.shape, flat.dtype) == ((1, 50), np.float32)
+  for name, length in observations.layout(4, True, extra):
+    place = observations.part(name, 4, True, extra)
+    assert place.stop - place.start == length
+  some = observations.layout(4, extra=['clock_rate'])
+  assert some == (*observations.layout(4), ('clock_rate', 1))
+  noise = observations.noise(4, extra)
+  np.testing.assert_array_equal(noise[[0, 6, 11, 37]], [0, 0.01, 0.01, 0.01])
+  with pytest.raises(ValueError, match="unknown observation 'lidar'; there"):
+    observations.terms(extra=['lidar'])
 
 
 @pytest.mark.parametrize(
@@ -137,10 +155,12 @@ def test_heading_frame(
 
 
 def test_policy_sees_the_orientation_in_the_commanded_heading() -> None:
-  """And nothing else; who diverged is upright."""
+  """And the displacement, and nothing else; who diverged is upright."""
   ahead, turned = _policy_sees(), _policy_sees(heading=np.pi / 2)
   turned_by = turned.pop('orientation')
   np.testing.assert_allclose(turned_by, [[1, 0, 0, 0]], atol=1e-12)
+  displaced = turned.pop('displacement')
+  np.testing.assert_allclose(displaced, [[-0.5, -0.3]], atol=1e-12)
   for name, part in turned.items():
     np.testing.assert_array_equal(part, ahead[name])
   lost = _policy_sees(qpos=np.full(17, np.nan))['orientation']
