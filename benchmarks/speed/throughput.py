@@ -12,6 +12,7 @@ on, as most of a training goes; the Composer task is left out.
 
 import contextlib
 import cProfile
+import dataclasses
 import functools
 import pathlib
 import pstats
@@ -207,7 +208,9 @@ def _build(config: run_config.RunConfig) -> setup.Run:
     raise ValueError(
       f'--policy knows {trained.mode_set.names}: pass them as --modes.'
     )
-  run = setup.build(config, trained.mode_set)
+  extra = trained.config.extra_observations  # Its weights are made for them.
+  task = dataclasses.replace(config.task, extra_observations=extra)
+  run = setup.build(dataclasses.replace(config, task=task), trained.mode_set)
   run.network.load_state_dict(trained.network.state_dict())
   return run
 
