@@ -18,7 +18,7 @@ from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set
 
 _MODES = 'idle,walk_forward'
-_POLICY_SEES = 2 + 2 + 31 + 13  # With one-hot commands and all other terms.
+_POLICY_SEES = 2 + 2 + 31  # With one-hot commands.
 _VALUE_SEES = _POLICY_SEES + 6 + 2 + 3
 _TINY = ppo_config.PPOConfig(
   hidden_sizes=(8,), rollout_length=4, epochs=2, minibatches=2

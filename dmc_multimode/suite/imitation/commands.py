@@ -63,7 +63,7 @@ class ModeTracker:
     control_timestep: float,
     num_worlds: int,
     max_knots: int,
-    ramp_start: bool = False,
+    feasible_references: bool = False,
   ):
     """Allocates the state; every world must be `reset` before use.
 
@@ -72,11 +72,12 @@ class ModeTracker:
       control_timestep: seconds.
       num_worlds: B.
       max_knots: K, the most commands that a schedule may hold.
-      ramp_start: starts gaits with the robot's own speed; see
+      feasible_references: adapts references to what a body can follow; see
         `ImitationConfig`.
     """
     self.bank = mode_set.bank
-    self._ramps = mode_set.bank.level & ramp_start
+    self._ramps = mode_set.bank.level & feasible_references
+    self._sinks = mode_set.bank.flies & feasible_references
     self._latents = mode_set.latents.astype(np.float64)
     self._timestep = control_timestep
     cycles = self.bank.durations[~self.bank.transient]
@@ -115,7 +116,7 @@ class ModeTracker:
       phase: where in their first mode they start, [N].
       support: height of the support plane at the origin, metres, [N].
       pace: share of the reference's speed at which a gait starts, [N]; of no
-        effect without `ramp_start`.
+        effect without `feasible_references`.
 
     Raises:
       ValueError: the schedule holds more commands than there is room for.
@@ -232,7 +233,7 @@ class ModeTracker:
     cannot fly; the reference keeps its height.
     """
     rate = np.maximum(self.state.clock_rate[ids], 1.0)
-    return np.where(self.bank.flies[self.state.mode[ids]], rate**-2.0, 1.0)
+    return np.where(self._sinks[self.state.mode[ids]], rate**-2.0, 1.0)
 
   def _speed_up(self, ids: np.ndarray) -> np.ndarray:
     """Returns factors of velocities at the clock rates, [N, 3]."""

@@ -35,8 +35,9 @@ class ImitationConfig:
       behave as short ones do; see `MiniBiped.add_servo_inertia`.
     extra_observations: names of the policy's observations beyond the paper's,
       of `observations.EXTRA_TERMS`.
-    ramp_start: references of gaits start with the robot's own speed and reach
-      theirs after one cycle; otherwise they move at full speed at once.
+    feasible_references: references of gaits start with the robot's own speed
+      and reach theirs after one cycle, and flights at clock rates above 1 rise
+      less. Otherwise gaits move at full speed at once, and flights rise alike.
     commands_from_ground: postpones commands that would fall into a flight, or
       before the jump of a transient mode; see `schedule.transitions`.
     joint_noise: standard deviation of the initial joint angles, radians.
@@ -53,7 +54,7 @@ class ImitationConfig:
   physics_timestep: config_lib.Positive = 0.005
   servo_inertia: bool = True
   extra_observations: tuple[str, ...] = ()
-  ramp_start: bool = True
+  feasible_references: bool = True
   commands_from_ground: bool = True
   joint_noise: config_lib.NonNegative = 0.05
   velocity_noise: config_lib.NonNegative = 0.1
@@ -171,7 +172,7 @@ def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
   new = dict(values)
   new['gains'] = _upgraded_gains(values['gains'])
   new['limits'] = {'angle': math.pi, **values['limits']}
-  new = {'extra_observations': [], 'ramp_start': False, **new}
+  new = {'extra_observations': [], 'feasible_references': False, **new}
   if 'events' in new:
     return new
   new = {'servo_inertia': False, 'commands_from_ground': False, **new}

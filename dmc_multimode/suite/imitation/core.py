@@ -90,7 +90,7 @@ class ImitationCore:
       config.control_timestep,
       num_worlds,
       max_knots,
-      config.ramp_start,
+      config.feasible_references,
     )
     self.terrain = terrain_lib.empty(num_worlds, num_segments)
     self.contact = np.zeros((num_worlds, 2))

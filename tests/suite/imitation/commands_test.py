@@ -228,7 +228,9 @@ def test_mode_with_a_take_off_runs_to_its_end() -> None:
 def test_gait_starts_at_the_pace_of_the_robot(
   pace: float, steps: int, x: float
 ) -> None:
-  tracker = commands.ModeTracker(_MODE_SET, _TIMESTEP, 1, 1, ramp_start=True)
+  tracker = commands.ModeTracker(
+    _MODE_SET, _TIMESTEP, 1, 1, feasible_references=True
+  )
   plan = schedule.single(np.array([_STAND]))
   tracker.reset(_FIRST, plan, np.zeros(1), np.zeros(1))
   velocity = np.array([[2.0 * pace, -1.0, 0.0]])
@@ -240,8 +242,13 @@ def test_gait_starts_at_the_pace_of_the_robot(
 
 def test_fast_flight_is_lower() -> None:
   leap = _LIBRARY.index('leap_forward')
-  for rate, share in ((0.5, 1.0), (1.0, 1.0), (2.0, 0.25)):
-    tracker = commands.ModeTracker(_LIBRARY, 0.03, 1, 1)
+  for rate, feasible, share in (
+    (0.5, True, 1.0),
+    (1.0, True, 1.0),
+    (2.0, True, 0.25),
+    (2.0, False, 1.0),
+  ):
+    tracker = commands.ModeTracker(_LIBRARY, 0.03, 1, 1, feasible)
     plan = schedule.single(np.array([leap]), rate)
     tracker.reset(_FIRST, plan, np.array([0.56]), np.zeros(1))
     height = tracker.reference().position[0, 2]

@@ -78,7 +78,7 @@ def test_reads_what_earlier_versions_wrote() -> None:
     time_limit=3.0,
     servo_inertia=False,
     extra_observations=(),
-    ramp_start=False,
+    feasible_references=False,
     commands_from_ground=False,
   )
 
