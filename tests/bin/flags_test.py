@@ -139,5 +139,5 @@ def test_every_configuration(parse: Any) -> None:
 
 
 def test_every_disturbance_has_a_flag() -> None:
-  expected = {*disturbances.UNITS, 'push_speed', 'sensor_noise'}
+  expected = {*disturbances.nominal(1), 'push_speed', 'sensor_noise'}
   assert set(config_flags.DISTURBANCES) == expected

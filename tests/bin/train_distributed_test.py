@@ -3,7 +3,7 @@
 import pathlib
 import signal
 import time
-from typing import Any, Callable, Iterator
+from typing import Any, Callable
 
 import pytest
 import torch
@@ -75,16 +75,6 @@ def _wait_for(condition: Callable[[], Any]) -> None:
   while not condition():
     assert time.monotonic() < deadline
     time.sleep(0.01)
-
-
-@pytest.fixture(scope='module')
-def train(
-  tmp_path_factory: pytest.TempPathFactory,
-) -> Iterator[processes.Binary]:
-  folder = tmp_path_factory.mktemp('output')
-  binary = processes.Binary('train', folder, short_run.WARM_UP)
-  yield binary
-  binary.close()
 
 
 @pytest.fixture(scope='module')

@@ -7,7 +7,7 @@ import pathlib
 import shutil
 import signal
 import time
-from typing import Any, Callable, Iterator
+from typing import Any, Callable
 
 import pytest
 import torch
@@ -53,16 +53,6 @@ keyframes:
 """
 
 _Files = dict[str, bytes]
-
-
-@pytest.fixture(scope='module')
-def train(
-  tmp_path_factory: pytest.TempPathFactory,
-) -> Iterator[processes.Binary]:
-  folder = tmp_path_factory.mktemp('output')
-  binary = processes.Binary('train', folder, short_run.WARM_UP)
-  yield binary
-  binary.close()
 
 
 @pytest.fixture(scope='module')

@@ -226,7 +226,8 @@ class BatchedImitation:
     self._push()
     knot = self.core.tracker.state.knot.copy()
     self._move_boxes(self.core.switch(self.qpos, self.qvel, self._random_state))
-    left = self._left_transitions(knot)
+    strings = self.episodes.max_knots > 2
+    left = self._left_transitions(knot) if strings else None
     self._draw_sensor_errors(slice(None))
     observation = self._observe()
     return self._conclude(outcome, training, observation, left)
@@ -246,7 +247,7 @@ class BatchedImitation:
       ids,
       state.schedule_modes[ids, knot[ids] - 1],
       state.schedule_modes[ids, knot[ids]],
-      (self._returns[ids] - gained) / (self.config.gains.highest * lengths),
+      self.config.normalised(self._returns[ids] - gained, lengths, lengths),
       lengths,
       np.zeros(len(ids), dtype=np.int64),
     )
@@ -426,7 +427,7 @@ class BatchedImitation:
     outcome: imitation_core.Outcome,
     training: np.ndarray | float,
     observation: np.ndarray,
-    left: episodes_lib.EpisodeBatch,
+    left: episodes_lib.EpisodeBatch | None,
   ) -> BatchedTimeStep:
     """Returns the time step; ends and, with `auto_reset`, begins episodes."""
     terminated = outcome.cause > 0
@@ -472,7 +473,9 @@ class BatchedImitation:
     )
 
   def _last_transitions(
-    self, results: episodes_lib.EpisodeBatch, left: episodes_lib.EpisodeBatch
+    self,
+    results: episodes_lib.EpisodeBatch,
+    left: episodes_lib.EpisodeBatch | None,
   ) -> episodes_lib.EpisodeBatch:
     """Returns all transitions that ended in this step.
 
@@ -481,9 +484,10 @@ class BatchedImitation:
 
     Args:
       results: the episodes that ended.
-      left: the transitions that commands ended.
+      left: the transitions that commands ended; None where episodes are single
+        transitions.
     """
-    if self.episodes.max_knots <= 2:
+    if left is None:
       return results
     ids, state = results.worlds, self.core.tracker.state
     knot = np.maximum(state.knot[ids], 1)

@@ -352,11 +352,12 @@ class ModeTracker:
       pace, phase = state.pace[ids][slower], state.phase[ids][slower]
       # Half the square of the phase has a slope that rises from 0 to 1.
       position[slower, :2] *= (pace + (1 - pace) * phase / 2)[:, None]
-    lower = np.flatnonzero(self._rise(ids) < 1)
+    rise = self._rise(ids)
+    lower = np.flatnonzero(rise < 1)
     if len(lower):
       base = self.bank.base_heights[state.mode[ids][lower]]
       position[lower, 2] -= base
-      position[lower, 2] *= self._rise(ids)[lower]
+      position[lower, 2] *= rise[lower]
       position[lower, 2] += base
     turned = _turn(position, state.heading[ids])
     return local._replace(position=state.anchor[ids] + turned)
@@ -413,12 +414,11 @@ class ModeTracker:
       `ReferenceBank.start_velocity`.
     """
     state = self.state
-    modes, phases = state.mode[ids], state.phase[ids]
-    local = self.bank.sample(modes, phases)
-    velocity = self.bank.start_velocity(modes, phases)
+    reference = self.reference(ids)
+    velocity = self.bank.start_velocity(state.mode[ids], state.phase[ids])
     return (
-      self.reference(ids).position,
-      local.orientation,
+      reference.position,
+      reference.orientation,
       velocity * self._speed_up(ids),
     )
 

@@ -309,7 +309,6 @@ class ImitationCore:
     state, bank = self.tracker.state, self.tracker.bank
     rise = np.where(np.isinf(before), 0.0, soles - before)[:, :, 2]
     apart = soles[:, 0] - soles[:, 1]
-    heading = state.heading
     return motion_costs.Motion(
       self.actions,
       joints,
@@ -317,7 +316,7 @@ class ImitationCore:
       self.contact,
       self.clearance(soles),
       rise / self.config.control_timestep,
-      np.cos(heading) * apart[:, 1] - np.sin(heading) * apart[:, 0],
+      observations.in_heading(apart, state.heading)[:, 1],
       bank.steady[state.mode],
       bank.straight[state.mode],
     )

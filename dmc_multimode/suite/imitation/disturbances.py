@@ -10,6 +10,7 @@ see `Body`.
 """
 
 import dataclasses
+import functools
 from typing import Annotated, Any, Callable, Mapping
 
 import mujoco
@@ -73,7 +74,7 @@ class Disturbances:
     if max(map(abs, self.slope)) > 0.8:
       raise ValueError('slope is between -0.8 and 0.8 rad')
 
-  @property
+  @functools.cached_property
   def active(self) -> tuple[str, ...]:
     """Names of the rows that are not nominal."""
     return tuple(
@@ -96,9 +97,6 @@ RANDOMISED = Disturbances(
     row.name: row.metadata['range'] for row in dataclasses.fields(Disturbances)
   }
 )
-UNITS: Mapping[str, str] = {
-  row.name: row.metadata['unit'] for row in dataclasses.fields(Disturbances)
-}
 
 
 def nominal(count: int) -> dict[str, np.ndarray]:

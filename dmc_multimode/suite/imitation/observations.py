@@ -198,7 +198,7 @@ EXTRA_TERMS: tuple[Term, ...] = (
     'displacement',
     'm',
     lambda view: np.clip(
-      _in_heading(view.displacement, view.heading), -_ASTRAY, _ASTRAY
+      in_heading(view.displacement, view.heading), -_ASTRAY, _ASTRAY
     ),
     2,
     (1, -1),
@@ -219,7 +219,7 @@ CRITIC_TERMS: tuple[Term, ...] = (
   Term(
     'position_error',
     'm',
-    lambda view: _in_heading(view.position - view.reference, view.heading),
+    lambda view: in_heading(view.position - view.reference, view.heading),
     3,
     _VECTOR,
     frame='heading',
@@ -401,7 +401,7 @@ def flatten(parts: Mapping[str, np.ndarray]) -> np.ndarray:
   return np.concatenate(list(parts.values()), axis=-1, dtype=np.float32)
 
 
-def _in_heading(vectors: np.ndarray, heading: np.ndarray) -> np.ndarray:
+def in_heading(vectors: np.ndarray, heading: np.ndarray) -> np.ndarray:
   """Expresses world vectors [B, 2 or 3] in frames turned by `heading`."""
   x, y, *z = vectors.T
   c, s = np.cos(heading), np.sin(heading)
