@@ -26,6 +26,7 @@ from dmc_multimode import pretrained
 from dmc_multimode.arenas import layouts
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track
+from dmc_multimode.experiments import config as run_config
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import composer_task
@@ -34,8 +35,8 @@ from dmc_multimode.suite.imitation import mujoco_worlds
 from dmc_multimode.utils import constants
 
 FULL, STANDING, POLICY = ACTIONS = ('full', 'standing', 'policy')
-USERS_TIMESTEP = 0.005  # Seconds; the default of the task.
-TRAINING_TIMESTEP = 0.01
+USERS_TIMESTEP = constants.PHYSICS_TIMESTEP
+TRAINING_TIMESTEP = run_config.RunConfig().task.physics_timestep
 _POLICY = 'pi2'
 _STANDING_STD = 0.2  # Radians.
 _SEGMENTS = 4  # Of a flat arena, for the steps that modes call for.

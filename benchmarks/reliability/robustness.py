@@ -4,7 +4,7 @@
     python -m benchmarks.reliability.robustness --policy=pi2,pi_all --falls_only
 
 Everything is judged by the code of `dmc_multimode.evaluation`, each case
-apart: the physics in finer steps than in training; the edges of blocks nearer
+apart: the physics in finer steps; the edges of blocks nearer
 or farther than the references have them; the disturbances that `evaluate` fixes
 by its flags, with the same meaning; weaker servos; pushes, which change the
 trunk's velocity in a random horizontal direction once a second; obstacles,
@@ -76,7 +76,7 @@ class Case:
   """Makes it harder.
 
   Attributes:
-    physics_timestep: seconds; that of the policy's task if None.
+    physics_timestep: seconds; `constants.PHYSICS_TIMESTEP` if None.
     edge: how much farther edges are, metres.
     push: least and largest velocity of a push a second, m/s.
     obstacles: share of the commands that meet one.
@@ -100,8 +100,7 @@ def _disturbed(**rows: float) -> Case:
 
 _SLOPE = float(np.deg2rad(5.0))
 CASES: Mapping[str, Case] = {
-  'as trained': Case(),
-  '5 ms': Case(physics_timestep=0.005),
+  'nominal': Case(),
   '2 ms': Case(physics_timestep=0.002),
   '1 ms': Case(physics_timestep=0.001),
   'edge 6 cm nearer': Case(edge=-0.06),
@@ -120,6 +119,7 @@ CASES: Mapping[str, Case] = {
   'delay 20 ms': _disturbed(action_delay=0.02),
   'delay 30 ms': _disturbed(action_delay=0.03),
   'sensor noise': _disturbed(sensor_noise=1.0),
+  'drifting odometry': _disturbed(odometry_drift=1.0),
   'pushes': Case(push=(0.3, 0.3)),
   'pushes 0.5 m/s': Case(push=(0.5, 0.5)),
   'pushes 0.5 to 1.0 m/s': Case(push=(0.5, 1.0)),

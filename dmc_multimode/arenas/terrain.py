@@ -106,7 +106,9 @@ def with_ledge(
   """Returns terrains with a ledge ahead of `x`, and level ground behind it.
 
   The segment under `x` is cut before `edge`, one new segment reaches to the
-  former end of the terrain, and the segments ahead are dropped.
+  former end of the terrain, and the segments ahead are dropped. Where all
+  segments are in use, the first is given up, and the second reaches back to its
+  start: whoever stands on the last of at least three does not notice.
 
   Args:
     terrain: B terrains.
@@ -117,15 +119,20 @@ def with_ledge(
     gap: width of a gap before the ledge, metres, [B] or one for all.
 
   Raises:
-    ValueError: no unused segment is left.
+    ValueError: all of less than three segments are in use.
   """
-  starts, ends, tops = (field.copy() for field in terrain)
   rows, under = np.arange(len(x)), _segment_under(terrain, x)
-  if np.any(under + 1 >= starts.shape[1]):
-    raise ValueError(
-      f'The track has only {starts.shape[1]} segments, all in use; build it '
-      'with more to command another mode that steps up or down.'
-    )
+  count = terrain.starts.shape[1]
+  full = under + 1 >= count
+  if full.any():
+    if count < 3:
+      raise ValueError(
+        f'The track has only {count} segments, all in use; build it with more '
+        'to command another mode that steps up or down.'
+      )
+    terrain = _without_first(terrain, full)
+    under = under - full
+  starts, ends, tops = (field.copy() for field in terrain)
   used = np.where(np.isinf(ends), -np.inf, ends)
   last = np.maximum(used.max(axis=1), edge + 1.0)
   behind = np.arange(starts.shape[1]) > under[:, None]
@@ -134,6 +141,16 @@ def with_ledge(
   starts[rows, under + 1] = edge
   ends[rows, under + 1] = last
   tops[rows, under + 1] = tops[rows, under] + height
+  return Terrain(starts, ends, tops)
+
+
+def _without_first(terrain: Terrain, rows: np.ndarray) -> Terrain:
+  """Gives up the first segments of the terrains `rows`, a mask, [B]."""
+  starts, ends, tops = (field.copy() for field in terrain)
+  for field, unused in ((starts, np.inf), (ends, np.inf), (tops, 0.0)):
+    field[rows, :-1] = field[rows, 1:]
+    field[rows, -1] = unused
+  starts[rows, 0] = terrain.starts[rows, 0]
   return Terrain(starts, ends, tops)
 
 

@@ -46,7 +46,7 @@ _EPISODES = flags.DEFINE_integer(
   'episodes', 4, 'Of each transition at each phase and clip; modes get 4 times.'
 )
 _TIMESTEP = flags.DEFINE_float(
-  'physics_timestep', None, 'Seconds; that of the training by default.'
+  'physics_timestep', None, 'Seconds; 0.005 by default.'
 )
 _CLOCK_RATES = flags.DEFINE_list(
   'clock_rates', None, 'Also measure how fast the modes go at these.'

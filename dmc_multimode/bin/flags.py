@@ -72,6 +72,7 @@ DISTURBANCES = {
   'centre_of_mass': "Forward shift of the trunk's, metres.",
   'motor_strength': "Factor of the servos' gains and torque limits.",
   'slope': 'Of the ground, up along x, radians.',
+  'odometry_drift': '1 is 2 percent of the way and 1 degree a metre.',
   'push_speed': 'Largest velocity of random pushes, m/s.',
   'sensor_noise': 'Of observations; 1 is that of real sensors.',
 }

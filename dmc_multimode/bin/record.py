@@ -44,7 +44,7 @@ _CLOCK_RATE = flags.DEFINE_float(
 )
 _SEED = flags.DEFINE_integer('seed', 0, 'Of the terrain and the initial state.')
 _PHYSICS_TIMESTEP = flags.DEFINE_float(
-  'physics_timestep', None, 'Seconds, against the one that was trained with.'
+  'physics_timestep', None, 'Seconds; 0.005 by default.'
 )
 _GHOST = flags.DEFINE_bool('ghost', True, 'Draw the reference.')
 _TERMINATE = flags.DEFINE_bool(

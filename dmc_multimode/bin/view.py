@@ -3,7 +3,8 @@ r"""Serves a browser page that shows and commands a policy.
   python -m dmc_multimode.bin.view --policy=pi2 --arena=gap_block
 
 Buttons and keys command modes, push the robot, choose the track, and search for
-a plan across it. The page is reachable from this machine only, unless --host is
+a plan across it. --action_delay=0.03, --payload=2 and their like fix what is
+wrong with the robot, as for `evaluate`. The page is reachable from this machine only, unless --host is
 given: everyone who reaches it can command the robot. Ctrl-C ends it.
 
 --viewer=native opens dm_control's own viewer, which needs a display.
@@ -33,6 +34,7 @@ _PORT = flags.DEFINE_integer('port', 8080, 'Of the page; 0 for any free one.')
 _THREADS = flags.DEFINE_integer(
   'threads', 1, 'Of the planner; the robot needs a core.', lower_bound=1
 )
+config_flags.define_disturbances()
 
 
 def main(argv: Sequence[str]) -> None:
@@ -46,6 +48,7 @@ def main(argv: Sequence[str]) -> None:
     _PORT.value,
     _THREADS.value,
     native=_VIEWER.value == 'native',
+    disturbed=config_flags.given_disturbances(),
   )
 
 

@@ -74,7 +74,6 @@ def to_xml(
   root = mjcf.from_path(str(resources.path('xml', 'scene.xml')))
   root.model = f'mini_biped_{arena}'
   root.option.timestep = timestep
-  mini_biped.add_servo_inertia(root, timestep)
   _replace_floor(root, terrain)
   return root.to_xml_string(precision=_PRECISION)
 

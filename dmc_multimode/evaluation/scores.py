@@ -48,7 +48,7 @@ def evaluate(
       mode.
     clock_rate: of the modes.
     clock_rates: further rates at which to measure travelling modes.
-    physics_timestep: seconds; that of the policy if None.
+    physics_timestep: seconds; `constants.PHYSICS_TIMESTEP` if None.
     quiet: hides the progress bars.
     communicator: of the ranks, which share the episodes.
     switching_episodes: of random switches, see `switching.evaluate`.

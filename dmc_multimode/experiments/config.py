@@ -10,6 +10,7 @@ from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import mode_sampler
+from dmc_multimode.suite.imitation import observations
 from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import constants
 from dmc_multimode.utils import schedule
@@ -51,9 +52,13 @@ class RunConfig:
     symmetry='alternate',
     std_floor=schedule.Schedule(0.17, 0.05, 6_000_000, 9_000_000),
   )
-  sampling: mode_sampler.SamplingConfig = mode_sampler.SamplingConfig()
+  sampling: mode_sampler.SamplingConfig = mode_sampler.SamplingConfig(
+    clock_rates=(0.5, 3.0)
+  )
   task: task_config.ImitationConfig = task_config.ImitationConfig(
-    physics_timestep=0.01,
+    # As good as 5 ms, and a quarter faster.
+    physics_timestep=0.0075,
+    extra_observations=observations.EXTRA_NAMES,
     events=events.TrainingEvents(
       # A looser bound on the distance at first.
       distance_slack=schedule.Schedule(0.15, 0.0, 0, 3_000_000),

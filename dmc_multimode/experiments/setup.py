@@ -21,7 +21,7 @@ from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import episodes
 
 _FLAT_SEGMENTS = 2  # The ground and the ledge of at most one command.
-_OBSTACLE_SEGMENTS = 3  # The ground, and two obstacles.
+_MORE_SEGMENTS = 3  # The ground, and two obstacles or ledges.
 
 
 def check_ranks(config: run_config.RunConfig, ranks: int) -> None:
@@ -128,8 +128,8 @@ def _make_environment(
     episodes.TransitionEpisodes(mode_set, config.sampling),
     track.make(
       'flat',
-      _OBSTACLE_SEGMENTS
-      if config.task.events.most_obstacles
+      _MORE_SEGMENTS
+      if config.task.events.most_obstacles or config.sampling.has_strings
       else _FLAT_SEGMENTS,
     ),
     config.task,

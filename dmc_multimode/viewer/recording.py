@@ -123,7 +123,7 @@ def record(
     seed: of the terrain and of the initial state's noise.
     config: of the video.
     clock_rate: rate of the phase clock, 1 being the references' own.
-    physics_timestep: seconds; the policy's own if None.
+    physics_timestep: seconds; `constants.PHYSICS_TIMESTEP` if None.
     terminate: ends the video at a termination of the episode.
     quiet: hides the progress bar.
     compare: another policy to show beside it, with the same schedule and

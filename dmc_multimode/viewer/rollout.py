@@ -193,7 +193,7 @@ class RolloutConfig:
     pushes: that the robot meets.
     imitation: whether losing the reference is a failure; in a plan, only a fall
       is.
-    physics_timestep: seconds; the policy's own if None.
+    physics_timestep: seconds; `constants.PHYSICS_TIMESTEP` if None.
     terminate: ends the roll-out at a termination of the episode.
   """
 

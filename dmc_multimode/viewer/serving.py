@@ -5,7 +5,7 @@ import io
 import os
 import socket
 import time
-from typing import TYPE_CHECKING
+from typing import Mapping, TYPE_CHECKING
 
 from dmc_multimode.viewer import gl
 
@@ -24,6 +24,7 @@ def view(
   port: int = 8080,
   threads: int = 1,
   native: bool = False,
+  disturbed: Mapping[str, float] | None = None,
 ) -> None:
   """Serves a policy that people can command, until it is interrupted.
 
@@ -35,6 +36,7 @@ def view(
     port: of the page; 0 for any free one.
     threads: of the planner; the robot needs a core.
     native: opens dm_control's viewer instead of a page.
+    disturbed: arguments of `events.fixed`, which fix the robot's disturbances.
 
   Raises:
     FileNotFoundError: there is no such policy.
@@ -51,11 +53,16 @@ def view(
   import torch
 
   from dmc_multimode import pretrained
+  from dmc_multimode.suite.imitation import events
   from dmc_multimode.viewer import session as session_lib
 
   torch.set_num_threads(1)  # Batches are small.
   session = session_lib.LiveSession(
-    pretrained.load(policy), arena, seed, threads=threads
+    pretrained.load(policy),
+    arena,
+    seed,
+    threads=threads,
+    disturbed=events.fixed(**(disturbed or {})),
   )
   with contextlib.closing(session), contextlib.suppress(KeyboardInterrupt):
     if native:

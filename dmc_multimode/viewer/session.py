@@ -19,12 +19,13 @@ from dmc_multimode.planner import solver
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes
+from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.suite.reaching import problem as reaching
 from dmc_multimode.utils import durations
 from dmc_multimode.viewer import rollout
 
-CLOCK_RATES = (0.5, 1.5)  # The slowest and the fastest.
+CLOCK_RATES = (0.5, 3.0)  # The slowest and the fastest.
 PUSH_SPEEDS = (0.0, 3.0)  # m/s.
 _SEGMENTS = 32  # Segments of a track: bounds the number of ledges.
 _LIE = 1.2  # Seconds from a fall to the reset.
@@ -119,6 +120,7 @@ class LiveSession:
     seed: int = 0,
     planner: beam_search.BeamConfig | None = None,
     threads: int = 1,
+    disturbed: events.TrainingEvents = events.NONE,
   ):
     """Compiles the model of the track.
 
@@ -128,6 +130,7 @@ class LiveSession:
       seed: see the class.
       planner: configuration of the planner.
       threads: of the planner's physics.
+      disturbed: result of `events.fixed`; plans are made for the nominal robot.
 
     Raises:
       ValueError: the track is unknown, or the seed is negative.
@@ -135,6 +138,7 @@ class LiveSession:
     self._policy, self._planner = policy, planner or beam_search.BeamConfig()
     self._mode_set, self._threads = policy.mode_set, threads
     self._search: PlanSearch | None = None
+    self._disturbed = disturbed
     self.clock_rate = 1.0
     self.set_arena(arena, seed)
 
@@ -156,7 +160,11 @@ class LiveSession:
       # The same initial state as in a search.
       episodes.ScheduledEpisodes(schedule_lib.single(np.zeros(1))),
       track.make(name, _SEGMENTS),
-      task_config.evaluated(self._policy.config, limits=terminations.NO_LIMITS),
+      task_config.evaluated(
+        self._policy.config,
+        limits=terminations.NO_LIMITS,
+        events=self._disturbed,
+      ),
     )
     limits = terminations.falls_alone(self._policy.config.limits)
     self.robot = rollout.Robot(self._policy, task, limits, seed)
@@ -181,12 +189,17 @@ class LiveSession:
   def command(self, mode: str) -> None:
     """Commands a mode; the running one continues.
 
+    A mode that climbs or descends runs at its own clock rate.
+
     Raises:
       ValueError: the policy does not know the mode, or the mode needs a ledge
         and the track has no segment left.
     """
     index = self._mode_set.index(mode)
     self._replayed, self.notice = None, ''
+    if self._mode_set.motions[index].ledge and self.clock_rate != 1:
+      self.set_clock_rate(1.0)
+      self.notice = f'{mode} keeps its own clock rate.'
     self.robot.command(index)
 
   def push(self, velocity: Sequence[float]) -> None:

@@ -80,10 +80,6 @@ class MiniBiped(legacy_base.Walker):
     """The joint targets applied last, radians [10]; 0 before the first."""
     return self._prev_action
 
-  def add_servo_inertia(self, timestep: float) -> None:
-    """Gives every joint the inertia of the function `add_servo_inertia`."""
-    add_servo_inertia(self._mjcf_root, timestep)
-
   @property
   def mjcf_model(self) -> mjcf.RootElement:
     """The robot's MJCF tree."""
@@ -153,23 +149,6 @@ class MiniBiped(legacy_base.Walker):
   def aliveness(self, physics: Any) -> float:
     """Returns a value from 0, upright, to -1, upside down."""
     return float(physics.bind(self.root_body).xmat[-1] - 1.0) / 2
-
-
-def add_servo_inertia(root: mjcf.RootElement, timestep: float) -> None:
-  """Gives every joint the inertia kp h^2, for physics steps of h seconds.
-
-  The integrator is implicit in the servos' damping but not in their
-  stiffness, on which a foot alone swings at 240 rad/s: steps of 5 ms do not
-  resolve that. This inertia, which vanishes with h, acts as if the stiffness
-  were implicit too: steps of 10 ms track those of 1 ms.
-
-  Args:
-    root: the MJCF tree of a robot, or of a scene with one.
-    timestep: of the physics, seconds.
-  """
-  stiffness = root.default.find('default', 'servo').position.kp
-  for name in JOINTS:
-    root.find('joint', name).armature = stiffness * timestep**2
 
 
 def standing_action(

@@ -197,6 +197,23 @@ def test_rejects_when_the_pool_is_used_up() -> None:
     terrain.with_ledge(full, np.array([2.0]), np.array([2.3]), 0.4)
 
 
+def test_the_first_segment_of_a_full_pool_is_given_up() -> None:
+  full = _terrain((-20, 1, 0), (1, 2, 0.4), (2, 9, 0.8), num_segments=3)
+  free = _terrain((-20, 1, 0), (1, 9, 0.4), num_segments=3)
+  two = terrain.Terrain(*map(np.concatenate, zip(full, free, strict=True)))
+  found = terrain.with_ledge(
+    two, np.array([3.0, 3.0]), np.array([3.5, 3.5]), 0.4, np.array([0.1, 0.0])
+  )
+  for row, expected in enumerate(
+    (
+      _terrain((-20, 2, 0.4), (2, 3.4, 0.8), (3.5, 9, 1.2), num_segments=3),
+      _terrain((-20, 1, 0), (1, 3.5, 0.4), (3.5, 9, 0.8), num_segments=3),
+    )
+  ):
+    for mine, theirs in zip(found, expected, strict=True):
+      np.testing.assert_allclose(mine[row], theirs[0])
+
+
 def test_levelled_by_hand() -> None:
   """Also over the gap, which the ground before it then fills."""
   three = _COURSE.rows(np.zeros(3, dtype=np.int64))

@@ -16,9 +16,10 @@ from dmc_multimode.experiments import run_folder
 from dmc_multimode.experiments import setup
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set
+from dmc_multimode.utils import schedule
 
 _MODES = 'idle,walk_forward'
-_POLICY_SEES = 2 + 2 + 31  # With one-hot commands.
+_POLICY_SEES = 2 + 2 + 31 + 13  # With one-hot commands.
 _VALUE_SEES = _POLICY_SEES + 6 + 2 + 3
 _TINY = ppo_config.PPOConfig(
   hidden_sizes=(8,), rollout_length=4, epochs=2, minibatches=2
@@ -71,6 +72,33 @@ def test_every_kind_of_learner_learns(symmetry: str, advantages: str) -> None:
   metrics = run.loop._learner.step(run.loop._buffers, 0)
   assert all(np.isfinite(value) for value in metrics.values())
   assert not torch.equal(weight, before)
+
+
+@pytest.mark.parametrize('obstacles', [0.0, 1.0])
+def test_strings_of_launches_have_ground(obstacles: float) -> None:
+  config = run_config.RunConfig(
+    modes='idle,launch', num_worlds=8, threads=1, one_hot=True, ppo=_TINY
+  )
+  sampling = dataclasses.replace(
+    config.sampling, string_fraction=schedule.constant(1.0)
+  )
+  events = dataclasses.replace(
+    config.task.events, obstacles=schedule.constant(obstacles)
+  )
+  task = dataclasses.replace(config.task, events=events)
+  config = dataclasses.replace(config, sampling=sampling, task=task)
+  worlds = setup.build(
+    config, mode_set.one_hot(library.resolve(config.modes))
+  ).environment
+  worlds.reset()
+  for _ in range(4):
+    # Each time from another place, as robots that climb would.
+    worlds.qpos[:, 0] += 1.0
+    worlds.command(np.full(8, 1))
+    worlds.core.tracker.state.phase[:] = 1.0
+    worlds.command(np.full(8, 0))
+  starts = worlds.core.terrain.starts
+  assert np.isfinite(starts).all() and (np.diff(starts) > 0).all()
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 
 from dmc_multimode import pretrained
 from dmc_multimode.planner import beam_search
+from dmc_multimode.suite.imitation import events
 from dmc_multimode.viewer import session as session_lib
 
 _PATIENCE = 120.0  # Seconds for a search.
@@ -148,12 +149,34 @@ def test_plan_and_replay() -> None:
   session.close()
 
 
+def test_a_climbing_mode_keeps_its_clock_rate(
+  session: session_lib.LiveSession,
+) -> None:
+  session.set_arena('flat')
+  session.set_clock_rate(3.0)
+  session.command('launch')
+  assert session.step().notice == 'launch keeps its own clock rate.'
+  assert session.robot.task.core.tracker.state.clock_rate[0] == 1.0
+
+
+def test_disturbances_are_the_robots() -> None:
+  session = session_lib.LiveSession(
+    pretrained.load('pi2'),
+    disturbed=events.fixed(payload=2.0, action_delay=0.01, push_speed=1.0),
+  )
+  for name in ('flat', 'gap'):
+    session.set_arena(name)
+    model = session.robot.physics.model
+    trunk = model.name2id('walker/trunk', 'body')
+    assert model.body_subtreemass[trunk] == pytest.approx(16.05, abs=0.1)
+
+
 def test_bad_input(session: session_lib.LiveSession) -> None:
   session.set_arena('flat')
   for what, message in (
     (lambda: session.command('fly'), "Unknown mode 'fly'"),
     (lambda: session.push((3.0, 1.0)), 'at most 3'),
-    (lambda: session.set_clock_rate(np.nan), 'within 0.5 and 1.5'),
+    (lambda: session.set_clock_rate(np.nan), 'within 0.5 and 3'),
     (lambda: session.set_arena('moat'), "Unknown arena 'moat'"),
     (lambda: session.set_arena('flat', -1), 'seed must not be negative'),
   ):

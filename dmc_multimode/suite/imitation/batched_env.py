@@ -129,6 +129,7 @@ class BatchedImitation:
       else np.random.RandomState(seed)
     )
     self.core = task.make_core(num_worlds, task.episodes.max_knots)
+    self.core.odometry_drift = self._values['odometry_drift']
     if model is None:
       model = mujoco_worlds.compile_model(task)
     self.physics = mujoco_worlds.MujocoWorlds(

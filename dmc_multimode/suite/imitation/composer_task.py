@@ -17,6 +17,7 @@ from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import core as imitation_core
 from dmc_multimode.suite.imitation import disturbances
 from dmc_multimode.suite.imitation import episodes as episodes_lib
+from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import arrays
@@ -72,6 +73,10 @@ class Imitation(composer.Task):
     self._values = disturbances.nominal(1)
     self._body: tuple[Any, disturbances.Body] | None = None
     self._targets = np.zeros((self.config.substeps, observations.NUM_JOINTS))
+    self._noise = observations.noise(
+      mode_set.latent_dim, self.config.extra_observations
+    )
+    self._sensor_errors = np.zeros((1, len(self._noise)))
     self._add_observables()
 
   def _set_physics_options(self) -> None:
@@ -86,8 +91,6 @@ class Imitation(composer.Task):
     self.set_timesteps(
       self.config.control_timestep, self.config.physics_timestep
     )
-    if self.config.servo_inertia:
-      self._walker.add_servo_inertia(self.config.physics_timestep)
 
   def _set_scene_options(self) -> None:
     """Sets what belongs to neither arena nor walker, whom it may not suit."""
@@ -205,6 +208,7 @@ class Imitation(composer.Task):
     self._arena.apply(physics, self._current_terrain())
     physics.data.qpos[:], physics.data.qvel[:] = qpos[0], qvel[0]
     self._disturb(physics, random_state)
+    self._draw_sensor_errors(random_state)
     self._outcome, self._return = None, 0.0
     self._substep, self._unseen = 0, physics
 
@@ -216,6 +220,7 @@ class Imitation(composer.Task):
     self._values = disturbances.draw(
       scheduled.disturbances, scheduled.disturbance_share.at(0), 1, random_state
     )
+    self.core.odometry_drift = self._values['odometry_drift']
     if self._body is None or self._body[0] is not physics.model:
       model = physics.model.ptr
       nominal = copy.copy(model)
@@ -311,10 +316,29 @@ class Imitation(composer.Task):
     contact = (touch > self.config.contact_force)[None]
     self._outcome = self.core.advance(qpos, qvel, contact.astype(float))
     self._return += float(self._outcome.reward[0])
+    self._push(physics, random_state)
+    qpos, qvel = _state(physics)
     self._rebuild(physics, self.core.switch(qpos, qvel, random_state))
+    self._draw_sensor_errors(random_state)
     self._substep, self._unseen = 0, physics
     if self._visualize_reward:
       self._colour(physics, float(self._outcome.reward[0]))
+
+  def _push(self, physics: Any, random_state: np.random.RandomState) -> None:
+    """Pushes the robot at random; see `events.push`."""
+    scheduled = self.config.events
+    speed = scheduled.push_speed.at(0)
+    if speed:
+      chance = self.config.control_timestep / scheduled.push_interval
+      events.push(physics.data.qvel[None], speed, chance, random_state)
+      physics.forward()
+
+  def _draw_sensor_errors(self, random_state: np.random.RandomState) -> None:
+    """Draws the errors of the observations of this control step."""
+    scale = self.config.events.sensor_noise.at(0)
+    if scale:
+      noise = random_state.standard_normal((1, len(self._noise)))
+      self._sensor_errors = scale * self._noise * noise
 
   def command(
     self, physics: Any, mode: int, random_state: np.random.RandomState
@@ -349,7 +373,11 @@ class Imitation(composer.Task):
 
   def _observe(self, physics: Any) -> None:
     share = self._substep / self.config.substeps
-    self._parts.update(self.core.observe(*_state(physics), share=share))
+    start = 0
+    for name, part in self.core.observe(*_state(physics), share=share).items():
+      end = start + part.shape[1]
+      self._parts[name] = part + self._sensor_errors[:, start:end]
+      start = end
     self._unseen = None
 
   def _colour(self, physics: Any, reward: float) -> None:

@@ -31,8 +31,6 @@ class ImitationConfig:
       control steps; infinite for episodes that only a termination ends.
     control_timestep: period of the policy, seconds.
     physics_timestep: period of the physics, seconds; divides the former.
-    servo_inertia: gives the joints the inertia that makes long physics steps
-      behave as short ones do; see `MiniBiped.add_servo_inertia`.
     extra_observations: names of the policy's observations beyond the paper's,
       of `observations.EXTRA_TERMS`.
     feasible_references: references of gaits start with the robot's own speed
@@ -51,8 +49,7 @@ class ImitationConfig:
   events: events_lib.TrainingEvents = events_lib.TrainingEvents()
   time_limit: config_lib.Duration = 4.5
   control_timestep: config_lib.Positive = constants.CONTROL_TIMESTEP
-  physics_timestep: config_lib.Positive = 0.005
-  servo_inertia: bool = True
+  physics_timestep: config_lib.Positive = constants.PHYSICS_TIMESTEP
   extra_observations: tuple[str, ...] = ()
   feasible_references: bool = True
   commands_from_ground: bool = True
@@ -129,6 +126,8 @@ class ImitationConfig:
 def evaluated(config: ImitationConfig, **changes: Any) -> ImitationConfig:
   """Returns the task of a policy's training, without training events.
 
+  Its physics steps are the product's, also where the training's were longer.
+
   Args:
     config: of the training.
     **changes: other values of fields, which override these.
@@ -136,7 +135,12 @@ def evaluated(config: ImitationConfig, **changes: Any) -> ImitationConfig:
   Raises:
     ValueError: the values are not those of a task.
   """
-  return dataclasses.replace(config, **{'events': events_lib.NONE, **changes})
+  values = {
+    'events': events_lib.NONE,
+    'physics_timestep': constants.PHYSICS_TIMESTEP,
+    **changes,
+  }
+  return dataclasses.replace(config, **values)
 
 
 def to_dict(config: ImitationConfig) -> dict[str, Any]:
@@ -161,10 +165,11 @@ def from_dict(values: Mapping[str, Any]) -> ImitationConfig:
 def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
   """Returns an earlier version's JSON of a task with this version's keys.
 
-  The first versions had no limit of the angle and no `servo_inertia`, and
-  commands did not wait for the ground. Then training events were fields of the
-  task itself, and each schedule two to four fields. Until there were other
-  observations, policies had the paper's, and references started at full speed.
+  The first versions had no limit of the angle, and commands did not wait for
+  the ground. Then training events were fields of the task itself, and each
+  schedule two to four fields. Until there were other observations, policies had
+  the paper's, and references started at full speed; `servo_inertia` gave joints
+  an inertia that depended on the physics step, where now the robot has its own.
 
   Raises:
     KeyError, TypeError, ValueError: the JSON is not that of a task.
@@ -173,9 +178,10 @@ def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
   new['gains'] = _upgraded_gains(values['gains'])
   new['limits'] = {'angle': math.pi, **values['limits']}
   new = {'extra_observations': [], 'feasible_references': False, **new}
+  new.pop('servo_inertia', None)
   if 'events' in new:
     return new
-  new = {'servo_inertia': False, 'commands_from_ground': False, **new}
+  new = {'commands_from_ground': False, **new}
   slack = new.pop('early_distance', 0.5) - new['limits'].get('distance', 0.35)
   tightened = new.pop('tighten_steps', 0)
   bonus, late = new.pop('contact_bonus', 0.0), new.pop('late_contact_bonus', 0)

@@ -18,6 +18,7 @@ from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import reference as reference_lib
 from dmc_multimode.suite.imitation import commands
 from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.suite.imitation import disturbances
 from dmc_multimode.suite.imitation import episodes as episodes_lib
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import motion_costs
@@ -61,6 +62,7 @@ class ImitationCore:
     actions: last joint targets, the newest first, radians, [B, H, 10]; at the
       start of an episode, the joints' angles.
     distance_slack: added to the limit on the distance, metres.
+    odometry_drift: of the observed displacement, see `Disturbances`, [B].
   """
 
   def __init__(
@@ -85,6 +87,7 @@ class ImitationCore:
     config.check_modes(mode_set.motions)
     self.config = config
     self.distance_slack = 0.0
+    self.odometry_drift = np.zeros(num_worlds)
     self.tracker = commands.ModeTracker(
       mode_set,
       config.control_timestep,
@@ -352,6 +355,9 @@ class ImitationCore:
     if 'displacement' in extra:
       reference = self.tracker.reference(ids)
       displacement = qpos[:, :2] - reference.position[:, :2]
+      displacement += disturbances.odometry_error(
+        qpos[:, :2] - state.anchor[ids, :2], self.odometry_drift[ids]
+      )
     return observations.observe(
       observations.policy_view(
         qpos,

@@ -5,8 +5,9 @@ a randomised training draws from. A training draws every row for every episode;
 an evaluation has the nominal robot, or fixes a row by a range of no width:
 `Disturbances(friction=(0.4, 0.4))`.
 
-Delays are of the task, see `delayed`. All others change the model of a world,
-see `Body`.
+Delays are of the task, see `delayed`, and the drift of odometry of one of its
+observations, see `odometry_error`. All others change the model of a world, see
+`Body`.
 """
 
 import dataclasses
@@ -18,6 +19,9 @@ import numpy as np
 import pydantic
 
 from dmc_multimode.utils import config as config_lib
+
+_STRETCH = 0.02  # Of the way, by an odometry drift of 1.
+_TURN = float(np.deg2rad(1.0))  # Radians a metre, likewise.
 
 
 def _check_range(value: tuple[float, float]) -> tuple[float, float]:
@@ -49,6 +53,8 @@ class Disturbances:
     centre_of_mass: forward shift of the trunk's centre of mass, metres.
     motor_strength: factor of the servos' gains and torque limits.
     slope: of the ground, up along x, radians.
+    odometry_drift: of the observed displacement, for worlds that observe one; 1
+      is 2 percent of the way and 1 degree a metre, -1 the same the other way.
   """
 
   action_delay: Range = _row('s', 0.0, 0.0, 0.03)
@@ -58,6 +64,7 @@ class Disturbances:
   centre_of_mass: Range = _row('m', 0.0, -0.02, 0.02)
   motor_strength: Range = _row('', 1.0, 0.8, 1.2)
   slope: Range = _row('rad', 0.0, 0.0, 0.0)
+  odometry_drift: Range = _row('', 0.0, 0.0, 0.0)
 
   def __post_init__(self) -> None:
     for name, least in (
@@ -149,6 +156,23 @@ def delayed(
   late = np.rint(delay / timestep).astype(np.int64)[:, None]
   age = -((np.arange(substeps) - late) // substeps)
   return actions[np.arange(len(actions))[:, None], age]
+
+
+def odometry_error(travelled: np.ndarray, drift: np.ndarray) -> np.ndarray:
+  """Returns errors of odometry, metres, [B, 2].
+
+  The estimate is too long by `_STRETCH` and turned by half of `_TURN` a metre,
+  as that of a straight way is whose heading drifts by `_TURN` a metre.
+
+  Args:
+    travelled: x and y of the trunk since the command, metres, [B, 2].
+    drift: the row `odometry_drift`, [B].
+  """
+  angle = drift * _TURN / 2 * np.linalg.norm(travelled, axis=1)
+  c, s = np.cos(angle), np.sin(angle)
+  x, y = travelled.T
+  turned = np.stack([c * x - s * y, s * x + c * y], axis=1)
+  return (1 + _STRETCH * drift)[:, None] * turned - travelled
 
 
 # Model fields that the rows change; those of mass need derived constants anew.

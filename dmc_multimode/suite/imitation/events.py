@@ -2,8 +2,8 @@
 
 An evaluation has none: `dataclasses.replace(config, events=NONE)`. All but the
 initial states are schedules of environment steps, summed over all worlds; the
-caller counts them. The batched engine alone has pushes, assistance, bonus and
-schedules; the Composer task uses `obstacles` at step 0 and no slack.
+caller counts them. The batched engine alone has assistance, bonus, costs and
+schedules; the Composer task has every other event as at step 0, and no slack.
 
 The take-off assistance curriculum: from rest, half a jump onto a block earns no
 more than no jump. So at take-off the robot is given a share of the velocity

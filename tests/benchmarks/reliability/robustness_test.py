@@ -111,7 +111,7 @@ def test_report(
   benchmark: processes.Binary, folder: pathlib.Path, tmp_path: pathlib.Path
 ) -> None:
   out = tmp_path / 'robustness.json'
-  names = ['as trained', '1 ms', 'edge 6 cm nearer', 'mass +10 %', 'pushes']
+  names = ['nominal', '1 ms', 'edge 6 cm nearer', 'mass +10 %', 'pushes']
   done = benchmark(
     f'--policy={folder}',
     '--episodes=1',

@@ -76,7 +76,6 @@ def test_reads_what_earlier_versions_wrote() -> None:
       push_speed=schedule.Schedule(0.0, 0.5, 8, 8),
     ),
     time_limit=3.0,
-    servo_inertia=False,
     extra_observations=(),
     feasible_references=False,
     commands_from_ground=False,

@@ -11,6 +11,7 @@ from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import config
 from dmc_multimode.suite.imitation import disturbances
 from dmc_multimode.suite.imitation import events
+from dmc_multimode.suite.imitation import observations
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import schedule
 
@@ -146,6 +147,21 @@ def test_sensor_noise_has_the_declared_deviation() -> None:
   np.testing.assert_allclose(errors, 2.0 * noisy._noise, rtol=0.15)
 
 
+def test_odometry_error_by_hand() -> None:
+  travelled = np.array([[3.0, 4.0], [0.0, -2.0], [1.0, 0.0]])
+  error = disturbances.odometry_error(travelled, np.array([1.0, -1.0, 0.0]))
+  turn, back = np.deg2rad(2.5), np.deg2rad(-1.0)
+  expected = [
+    [
+      1.02 * (3 * np.cos(turn) - 4 * np.sin(turn)) - 3,
+      1.02 * (3 * np.sin(turn) + 4 * np.cos(turn)) - 4,
+    ],
+    [0.98 * 2 * np.sin(back), -0.98 * 2 * np.cos(back) + 2],
+    [0.0, 0.0],
+  ]
+  np.testing.assert_allclose(error, expected, atol=1e-12)
+
+
 @pytest.mark.parametrize(
   ('changes', 'message'),
   [
@@ -178,10 +194,17 @@ def test_parity_of_the_engines() -> None:
     events=dataclasses.replace(
       events.NONE,
       disturbances=dataclasses.replace(
-        disturbances.RANDOMISED, slope=(-0.1, 0.1), action_delay=(0.0, 0.05)
+        disturbances.RANDOMISED,
+        slope=(-0.1, 0.1),
+        action_delay=(0.0, 0.05),
+        odometry_drift=(-1.0, 1.0),
       ),
+      push_speed=schedule.constant(1.0),
+      push_interval=0.1,
+      sensor_noise=schedule.constant(1.0),
     ),
     limits=terminations.NO_LIMITS,
+    extra_observations=observations.EXTRA_NAMES,
   )
   task = multimode_biped.make_task('idle', config=task_config)
   env = multimode_biped.make_environment(task, 5)
@@ -192,8 +215,10 @@ def test_parity_of_the_engines() -> None:
     worlds.reset()
     for _ in range(15):
       action = random_state.uniform(-0.4, 0.4, 10)
-      env.step(action)
-      worlds.step(action[None])
+      step = env.step(action)
+      batch = worlds.step(action[None])
       np.testing.assert_allclose(
         env.physics.data.qpos, worlds.qpos[0], atol=1e-9
       )
+      seen = np.concatenate(list(step.observation.values()))
+      np.testing.assert_allclose(seen, batch.observation[0], atol=1e-5)
