@@ -91,10 +91,11 @@ def _read_problem(sizes: dict[str, float]) -> reaching.ReachingConfig:
 def _print(found: planner.PlanResult) -> None:
   for name, seconds in zip(*found.plan.segments(), strict=True):
     print(f'{name}: {seconds:g} s')
-  x, _, z = found.final_position
+  x, y, z = found.final_position
   print(
-    f'{"reached" if found.success else "did NOT reach"} the goal: trunk at '
-    f'x = {x:.2f}, z = {z:.2f} m; solved in {found.solve_seconds:.1f} s, '
+    f'{"stands at" if found.success else "does NOT stand at"} the goal after '
+    f'{found.seconds:.1f} s: trunk at x = {x:.2f}, y = {y:.2f}, z = {z:.2f} m, '
+    f'{found.final_speed:.2f} m/s; solved in {found.solve_seconds:.1f} s, '
     f'{found.control_steps} control steps'
   )
 

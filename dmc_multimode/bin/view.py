@@ -4,8 +4,9 @@ r"""Serves a browser page that shows and commands a policy.
 
 Buttons and keys command modes, push the robot, choose the track, and search for
 a plan across it. --action_delay=0.03, --payload=2 and their like fix what is
-wrong with the robot, as for `evaluate`. The page is reachable from this machine only, unless --host is
-given: everyone who reaches it can command the robot. Ctrl-C ends it.
+wrong with the robot, as for `evaluate`. The page is reachable from this machine
+only, unless --host is given: everyone who reaches it can command the robot.
+Ctrl-C ends it.
 
 --viewer=native opens dm_control's own viewer, which needs a display.
 """

@@ -18,7 +18,6 @@ from dmc_multimode.arenas import track
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.utils import files
 from dmc_multimode.utils import resources
-from dmc_multimode.walkers import mini_biped
 
 _PRECISION = 17  # Digits: every number is read as it was written.
 

@@ -21,20 +21,19 @@ def draw(found: plan_lib.PlanResult) -> matplotlib.figure.Figure:
     np.random.RandomState(course.seed)
   )
   drawn, axes = figures.empty(2, 1, 8.0, 2.6)
-  _draw_time(axes[0, 0], found.plan, found.path, terrain)
+  _draw_time(axes[0, 0], found, terrain)
   for push in course.pushes:
     axes[0, 0].axvline(push.time, color='C1', linestyle='--')
   _draw_side(axes[1, 0], found.path, terrain)
+  _draw_goal(axes[1, 0], found)
   return drawn
 
 
 def _draw_time(
-  axis: Any,
-  plan: plan_lib.ModePlan,
-  path: np.ndarray,
-  terrain: terrain_lib.Terrain,
+  axis: Any, found: plan_lib.PlanResult, terrain: terrain_lib.Terrain
 ) -> None:
   """Draws modes, height of the trunk and support over time."""
+  plan, path = found.plan, found.path
   names = list(dict.fromkeys(plan.modes))
   knots = plan.knot_duration * np.arange(len(plan.modes) + 1)
   levels = [names.index(mode) for mode in plan.modes]
@@ -42,7 +41,9 @@ def _draw_time(
   axis.set_yticks(range(len(names)), names)
   axis.set(xlabel='time (s)', ylim=(-0.5, len(names) - 0.5))
   axis.tick_params(axis='y', colors='C0')
-  times = np.linspace(0.0, plan.duration, len(path) + 1)[1:]
+  axis.axvspan(plan.duration, found.seconds, color='0.95')
+  axis.text(plan.duration, -0.4, ' rest', color='0.4')
+  times = np.linspace(0.0, found.seconds, len(path) + 1)[1:]
   rows = terrain_lib.Terrain(
     *(np.repeat(field, len(path), axis=0) for field in terrain)
   )
@@ -72,3 +73,16 @@ def _draw_side(
   axis.plot(path[:, 0], path[:, 2], 'C3')
   axis.plot(*path[-1, [0, 2]], 'C3o')
   axis.set(xlabel='x (m)', ylabel='z (m)', xlim=(low, high), aspect='equal')
+
+
+def _draw_goal(axis: Any, found: plan_lib.PlanResult) -> None:
+  """Marks the goal, and says how the robot ended."""
+  x, _, z = found.goal
+  axis.plot(x, z, 'k+', markersize=12)
+  off = found.final_position - np.array(found.goal)
+  axis.set_title(
+    f'{"reached" if found.success else "not reached"}: '
+    f'{np.linalg.norm(off):.2f} m from the goal (+), at '
+    f'{found.final_speed:.2f} m/s, after {found.seconds:.1f} s',
+    fontsize='medium',
+  )

@@ -70,11 +70,13 @@ class _Front:
     self.distinct = np.arange(len(self.commands)) < len(kept) * self._modes
     return self._parents
 
-  def solution(self, progress: problem_lib.Progress, knots: int) -> Solution:
-    """Returns the plans, padded to `knots`, after the last knot's progress."""
+  def solution(
+    self, alive: np.ndarray, reached: np.ndarray, knots: int
+  ) -> Solution:
+    """Returns the plans, padded to `knots`, by how they ended, [W] each."""
     missing = knots - self._plans.shape[1]
-    success = progress.reached & self.distinct & (missing == 0)
-    order = np.lexsort((-self.returns, ~progress.alive, ~success))
+    success = reached & self.distinct
+    order = np.lexsort((-self.returns, ~alive, ~success))
     order = order[self.distinct[order]]
     plans = np.pad(self._plans, ((0, 0), (0, missing)))
     return Solution(
@@ -119,7 +121,7 @@ def beam_search(
     front.extend(progress.reward)
     worth = front.distinct & progress.alive
     if not worth.any():
-      break
+      return front.solution(progress.alive, worth, knots)
     best = float(front.returns[worth].max())
     report(knot + 1, best, _nearest(problem, progress))
     if knot < knots - 1:
@@ -132,7 +134,8 @@ def beam_search(
       )
       kept = _select(cells, front.returns, worth, beams)
       problem.copy_state(front.branch(kept))
-  return front.solution(progress, knots)
+  rest = problem.rest()
+  return front.solution(rest.alive, rest.reached, knots)
 
 
 def _nearest(

@@ -1,7 +1,8 @@
 """Mode plans: a zero-order spline of modes over knots, and their files.
 
 The plans are those of Krishna and Nguyen, Sec. II-E: at each of k knots, dt
-seconds apart, one mode is commanded, and it holds to the next.
+seconds apart, one mode is commanded, and it holds to the next. After the last
+one the robot rests: it has reached the goal if it then stands there.
 """
 
 import dataclasses
@@ -18,6 +19,8 @@ from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.utils import files
 
+REST = 1.5  # Seconds of the rest after a plan.
+_REST_MODE = 'idle'
 _MAX_BYTES = 1 << 20  # Larger files are rejected.
 _MAX_KNOTS = 10_000
 
@@ -178,9 +181,12 @@ class PlanResult:
     plan: the best plan found or, with replanning, the modes commanded.
     course: conditions of the plan.
     goal: of the trunk, world metres, [3].
-    success: whether the robot ends at the goal without a fall.
-    episode_return: sum of exp(-|goal - p|) over the control steps.
-    path: of the trunk after every control step, world metres, [T, 3].
+    success: whether the robot stands at the goal in the end.
+    episode_return: sum of exp(-|goal - p|) over the control steps of the knots.
+    path: of the trunk after every control step of the knots and of the rest
+      after them, world metres, [T, 3].
+    seconds: from the first command to the end of the rest.
+    final_speed: of the trunk, m/s.
     solve_seconds: from the first roll-out to the last.
     rollouts: number of plans, or parts of plans, that were rolled out.
     control_steps: sum over all worlds of searches and replays.
@@ -193,6 +199,8 @@ class PlanResult:
   success: bool
   episode_return: float
   path: np.ndarray
+  seconds: float
+  final_speed: float
   solve_seconds: float
   rollouts: int
   control_steps: int
@@ -206,8 +214,10 @@ class PlanResult:
   def file(self) -> PlanFile:
     """Returns the plan as a file, with results as details."""
     details = {
-      'success': self.success,
+      'reached': self.success,
       'final_position': self.final_position.tolist(),
+      'final_speed': self.final_speed,
+      'seconds': self.seconds,
       'goal': list(self.goal),
       'return': self.episode_return,
       'solve_seconds': self.solve_seconds,
@@ -220,6 +230,12 @@ class PlanResult:
   def save(self, path: str | os.PathLike[str]) -> None:
     """Writes the plan's file; see `PlanFile.write`."""
     self.file().write(path)
+
+
+def rest_mode(mode_set: mode_set_lib.ModeSet) -> int:
+  """Returns the index of the mode in which robots rest: idle, or the first."""
+  names = mode_set.names
+  return names.index(_REST_MODE) if _REST_MODE in names else 0
 
 
 def from_indices(

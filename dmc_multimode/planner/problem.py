@@ -2,8 +2,9 @@
 
 All worlds of a problem begin in the same state. A planner runs them from knot
 to knot, each with its own mode, and may copy states between worlds. Only the
-policy observes the robot: a plan is open-loop. Robots that have fallen are not
-moved any more.
+policy observes the robot: a plan is open-loop. After the last knot the robots
+rest, and must then stand at the goal. Robots that have fallen are not moved any
+more.
 """
 
 from typing import NamedTuple, Sequence
@@ -13,13 +14,16 @@ import numpy as np
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track as track_lib
 from dmc_multimode.modes import schedule as schedule_lib
+from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import episodes
 from dmc_multimode.suite.reaching import problem as reaching
+from dmc_multimode.utils import durations
 
 _BLOCK = 16  # Batch sizes of the policy are multiples of this.
+_IN_REACH = 1.0  # Metres from the goal along x that a robot may yet coast.
 
 
 class Progress(NamedTuple):
@@ -30,13 +34,11 @@ class Progress(NamedTuple):
       after a fall, [B].
     path: of the trunk in the world after each control step, metres, [S, B, 3].
     alive: whether the robot has never fallen, [B].
-    reached: whether it is upright at the goal, [B].
   """
 
   reward: np.ndarray
   path: np.ndarray
   alive: np.ndarray
-  reached: np.ndarray
 
   @property
   def position(self) -> np.ndarray:
@@ -44,32 +46,54 @@ class Progress(NamedTuple):
     return self.path[-1]
 
 
+class Rest(NamedTuple):
+  """Outcome of the rest after a plan in B worlds; see `ReachingProblem.rest`.
+
+  Attributes:
+    path: of the trunk in the world after each control step, metres, [S, B, 3].
+    speed: of the trunk at the end, m/s, [B].
+    alive: whether the robot has never fallen, [B].
+    reached: whether it stands at the goal, [B].
+  """
+
+  path: np.ndarray
+  speed: np.ndarray
+  alive: np.ndarray
+  reached: np.ndarray
+
+
 class Trials(NamedTuple):
   """Results of whole plans in N worlds.
 
   Attributes:
     returns: sums of the knots' rewards, [N].
-    position: last position of the trunk, metres, [N, 3].
     alive: whether the robot never fell, [N].
-    success: whether it ends at the goal without a fall, [N].
-    paths: of the trunk after every control step, metres, [N, T, 3].
+    success: whether it stands at the goal in the end, [N].
+    speed: of the trunk in the end, m/s, [N].
+    paths: of the trunk after every control step, the rest's included, metres,
+      [N, T, 3].
   """
 
   returns: np.ndarray
-  position: np.ndarray
   alive: np.ndarray
   success: np.ndarray
+  speed: np.ndarray
   paths: np.ndarray
 
+  @property
+  def position(self) -> np.ndarray:
+    """Last positions of the trunk, world metres, [N, 3]."""
+    return self.paths[:, -1]
 
-def trials(knots: Sequence[Progress]) -> Trials:
-  """Returns the results of consecutive knots."""
+
+def trials(knots: Sequence[Progress], rest: Rest) -> Trials:
+  """Returns the results of consecutive knots and the rest after them."""
   return Trials(
     np.sum([knot.reward for knot in knots], axis=0),
-    knots[-1].position,
-    knots[-1].alive,
-    knots[-1].reached,
-    np.concatenate([knot.path for knot in knots]).swapaxes(0, 1),
+    rest.alive,
+    rest.reached,
+    rest.speed,
+    np.concatenate([*(knot.path for knot in knots), rest.path]).swapaxes(0, 1),
   )
 
 
@@ -215,19 +239,48 @@ class ReachingProblem:
       path.append(self._step())
       worth = reaching.rewards(path[-1], self._goal)
       reward += np.where(self._alive, worth, 0.0)
-    return Progress(reward, np.array(path), self._alive.copy(), self._reached())
+    return Progress(reward, np.array(path), self._alive.copy())
 
-  def _step(self) -> np.ndarray:
+  def rest(self) -> Rest:
+    """Commands all robots to rest, after the last knot.
+
+    Robots that are too far from the goal to stand there in time are not moved;
+    they have not reached it.
+    """
+    worlds = self._worlds
+    mode = plan_lib.rest_mode(self.mode_set)
+    self._observation = worlds.command(np.full(self.num_worlds, mode))
+    distance = np.abs(worlds.qpos[:, 0] - self._goal[0])
+    near = self._alive & (distance <= _IN_REACH)
+    if self.num_worlds == 1:  # A replay shows how it ends.
+      near[:] = self._alive
+    steps = int(durations.steps(plan_lib.REST, self.control_timestep))
+    path = np.array([self._step(near) for _ in range(steps)])
+    there = reaching.reached(
+      worlds.qpos, worlds.qvel, worlds.core.terrain, self._goal
+    )
+    return Rest(
+      path,
+      np.linalg.norm(worlds.qvel[:, :3], axis=1),
+      self._alive.copy(),
+      self._alive & near & there,
+    )
+
+  def _step(self, moved: np.ndarray | None = None) -> np.ndarray:
     """Advances by a control step; returns trunk positions, metres, [B, 3].
 
     Robots are held where they fall: tumbling on, their states would diverge. A
       robot that diverges at once keeps its last position.
+
+    Args:
+      moved: mask of the robots that move, [B]; all by default.
     """
-    if self._alive.any():
+    moving = self._alive if moved is None else self._alive & moved
+    if moving.any():
       state = self._worlds.physics.state
       before = state.copy()
-      self._worlds.moving[:] = self._alive
-      self.control_steps += int(self._alive.sum())
+      self._worlds.moving[:] = moving
+      self.control_steps += int(moving.sum())
       step = self._worlds.step(self._act())
       self._observation = step.observation
       self._alive &= step.discount > 0
@@ -242,7 +295,8 @@ class ReachingProblem:
       plans: mode indices, [B, K].
     """
     self.reset()
-    return trials([self.run_knot(modes) for modes in np.asarray(plans).T])
+    knots = [self.run_knot(modes) for modes in np.asarray(plans).T]
+    return trials(knots, self.rest())
 
   def _act(self) -> np.ndarray:
     """Returns the policy's actions, [B, 10].
@@ -260,10 +314,3 @@ class ReachingProblem:
       for i in range(0, len(padded), _BLOCK)
     ]
     return np.concatenate(actions)[: len(seen)]
-
-  def _reached(self) -> np.ndarray:
-    """Returns the mask of robots at the goal that never fell, [B]."""
-    there = reaching.reached(
-      self._worlds.qpos, self._worlds.core.terrain, self._goal
-    )
-    return self._alive & there

@@ -143,7 +143,8 @@ def q_learning(
       progress = problem.run_knot(modes)
       plans[episode, :, knot], rewards[:, knot] = modes, progress.reward
     tables.update(plans[episode], rewards)
-    returns[episode], success[episode] = rewards.sum(axis=1), progress.reached
+    returns[episode] = rewards.sum(axis=1)
+    success[episode] = problem.rest().reached
     ahead = np.abs(problem.config.goal[0] - progress.position[:, 0])
     nearest = min(nearest, ahead[progress.alive].min(initial=np.inf))
     report(episode + 1, float(returns[: episode + 1].max()), float(nearest))

@@ -156,7 +156,7 @@ def follow(
     executed += now.tolist()
   return solver.result(
     executed,
-    problem_lib.trials(knots),
+    problem_lib.trials(knots, robot.rest()),
     sum(found.solve_seconds for found in plannings),
     sum(found.rollouts for found in plannings),
     sum(found.control_steps for found in plannings),

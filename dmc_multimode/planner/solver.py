@@ -182,6 +182,8 @@ class Solver:
       bool(trial.success[0]),
       float(trial.returns[0]),
       trial.paths[0],
+      len(trial.paths[0]) * self._alone.control_timestep,
+      float(trial.speed[0]),
       solve_seconds,
       rollouts,
       control_steps,

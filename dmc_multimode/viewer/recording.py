@@ -17,6 +17,7 @@ import numpy as np
 import pydantic
 import tqdm
 
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.pretrained import folder
@@ -137,21 +138,20 @@ def record(
     OSError: there is no OpenGL, or the video cannot be written.
   """
   path = video.check_path(out)
+  known = _mode_set(policy)
   if schedule is not None and plan is None:
     what = _scheduled(schedule, arena, seed)
   elif plan is not None and schedule is None:
-    what = _planned(plan)
+    what = _planned(plan, known)
   else:
     raise ValueError('Say what to record: a schedule or a plan.')
   earlier = None
   if isinstance(compare, (str, os.PathLike)):
     if str(compare).endswith(video.SUFFIX):
       earlier, compare = pathlib.Path(compare), None
-  for each in (policy, compare):
-    if isinstance(each, (str, os.PathLike)):
-      known = folder.mode_set(each)
-      for name in what['modes']:
-        known.index(name)  # Raises, before slow imports.
+  for each in (known, known if compare is None else _mode_set(compare)):
+    for name in what['modes']:
+      each.index(name)  # Raises, before slow imports.
   gl.choose_backend()
   # It imports dm_control, which reads the choice.
   from dmc_multimode.viewer import rollout as rollout_lib
@@ -177,6 +177,14 @@ def record(
   policies = dict(zip(names, (_load(policy), _load(compare)), strict=True))
   first, second = film_beside(policies, rollout_config, config, path, quiet)
   return first._replace(compared=second)
+
+
+def _mode_set(
+  policy: 'str | os.PathLike[str] | pretrained.Policy',
+) -> mode_set_lib.ModeSet:
+  if isinstance(policy, (str, os.PathLike)):
+    return folder.mode_set(policy)
+  return policy.mode_set
 
 
 def _load(
@@ -208,14 +216,15 @@ def _scheduled(
 
 def _planned(
   plan: str | os.PathLike[str] | plan_lib.PlanFile,
+  known: mode_set_lib.ModeSet,
 ) -> dict[str, Any]:
-  """Returns the roll-out's fields that follow from a plan."""
+  """Returns the roll-out's fields that follow from a plan, with its rest."""
   if not isinstance(plan, plan_lib.PlanFile):
     plan = plan_lib.PlanFile.read(plan)
   names, durations = plan.plan.segments()
   return {
-    'modes': tuple(names),
-    'durations': tuple(durations),
+    'modes': (*names, known.names[plan_lib.rest_mode(known)]),
+    'durations': (*durations, plan_lib.REST),
     **plan.course._asdict(),
     'imitation': False,
   }

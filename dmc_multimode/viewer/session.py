@@ -319,6 +319,6 @@ class LiveSession:
     knot, rest = divmod(int(task.core.tracker.state.step[0]), knot_steps)
     if knot == len(self._replayed.modes):
       self._replayed, self.notice = None, 'The plan is done.'
-      self.robot.command(0)
+      self.robot.command(plan_lib.rest_mode(self._mode_set))
     elif not rest:
       self.robot.command(self._mode_set.index(self._replayed.modes[knot]))

@@ -72,13 +72,14 @@ def test_a_result_is_kept(tmp_path: pathlib.Path) -> None:
   path = np.array([[0.0, 0.0, 0.5], [0.1, 0.2, 0.3]])
   result = plan_lib.PlanResult(
     *(_PLAN, plan_lib.Course('flat'), (2.0, 0.0, 0.5), False, 1.5, path),
-    *(0.1, 24, 960, {'planner': 'beam'}),
+    *(2.7, 0.01, 0.1, 24, 960, {'planner': 'beam'}),
   )
   out = tmp_path / 'new' / 'plan.json'
   result.save(out)
   values = json.loads(out.read_text())
   assert values['final_position'] == [0.1, 0.2, 0.3]
-  assert (values['success'], values['return']) == (False, 1.5)
+  assert (values['reached'], values['return']) == (False, 1.5)
+  assert (values['seconds'], values['final_speed']) == (2.7, 0.01)
   assert (values['knots'], values['dt'], values['seed']) == (4, 0.3, 0)
   assert plan_lib.PlanFile.read(str(out)) == result.file()
 

@@ -13,6 +13,7 @@ from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.suite.reaching import problem as reaching
 
 _IDLE, _WALK, _LEAP = range(3)
+_REST = 50  # Control steps.
 
 
 @functools.cache
@@ -38,14 +39,15 @@ def test_rollout() -> None:
   problem = _problem(3)
   plans = np.array([[_WALK] * 4, [_IDLE] * 4, [_WALK] * 4])
   found = problem.rollout(plans)
-  assert found.paths.shape == (3, 40, 3)
+  assert found.paths.shape == (3, 40 + _REST, 3)
   np.testing.assert_array_equal(found.position, found.paths[:, -1])
   assert 0.3 < found.position[0, 0] < 0.8
   assert abs(found.position[1, 0]) < 0.1
   np.testing.assert_array_equal(found.success, [True, False, True])
-  distances = np.linalg.norm(found.paths - [0.5, 0.0, 0.5], axis=-1)
+  distances = np.linalg.norm(found.paths[:, :40] - [0.5, 0.0, 0.5], axis=-1)
   np.testing.assert_allclose(found.returns, np.exp(-distances).sum(axis=1))
-  assert problem.control_steps == 3 * 40
+  assert found.speed.max() < 0.15
+  assert problem.control_steps == 3 * (40 + _REST)
   # All begin alike, and again.
   np.testing.assert_array_equal(found.paths[0], found.paths[2])
   np.testing.assert_array_equal(problem.rollout(plans).paths, found.paths)
@@ -84,7 +86,7 @@ def test_take() -> None:
     np.array([[_WALK, _WALK], [_WALK, _IDLE], [2, 2]])
   )
   np.testing.assert_array_equal(
-    branched.path.swapaxes(0, 1), whole.paths[:, 10:]
+    branched.path.swapaxes(0, 1), whole.paths[:, 10:20]
   )
 
 
@@ -93,7 +95,7 @@ def _run(
 ) -> np.ndarray:
   """Runs all worlds under one plan; returns their paths, [B, T, 3]."""
   knots = [problem.run_knot(np.full(problem.num_worlds, mode)) for mode in plan]
-  return problem_lib.trials(knots).paths
+  return np.concatenate([knot.path for knot in knots]).swapaxes(0, 1)
 
 
 def test_begin_at() -> None:
@@ -109,12 +111,12 @@ def test_begin_at() -> None:
   np.testing.assert_array_equal(rest[0], rest[2])
   np.testing.assert_allclose(rest[0], whole[0, 20:], atol=5e-3)
   again = problem.rollout(np.full((3, 2), [_LEAP, _WALK]))
-  np.testing.assert_array_equal(again.paths, rest)
+  np.testing.assert_array_equal(again.paths[:, :20], rest)
   # One world by itself is the same bit for bit, and did not notice.
   alone = _problem(1, 'block')
   alone.begin_at(robot)
   rest = alone.rollout(np.array([[_LEAP, _WALK]])).paths
-  np.testing.assert_array_equal(rest[0], whole[0, 20:])
+  np.testing.assert_array_equal(rest[0, :20], whole[0, 20:])
   np.testing.assert_array_equal(_run(robot, [_LEAP, _WALK])[0], whole[0, 20:])
   robot.reset()
   problem.begin_at(robot)
@@ -161,7 +163,6 @@ def test_those_that_fell_stay_where_they_fell() -> None:
   assert alive[:, 1].all() and alive[0, 0] and not alive[-1, 0]
   assert (np.diff(alive[:, 0].astype(int)) <= 0).all()
   assert knots[-1].reward[0] == 0.0
-  assert not knots[-1].reached.any()
   path = np.concatenate([knot.path for knot in knots])
   still = np.flatnonzero((np.diff(path[:, 0], axis=0) == 0).all(axis=1))
   assert 10 < len(still) and (np.diff(still) == 1).all()
@@ -172,6 +173,7 @@ def test_those_that_fell_stay_where_they_fell() -> None:
   problem.copy_state(np.array([1, 0]))
   fallen = problem.run_knot(np.array([_IDLE, _IDLE]))
   np.testing.assert_array_equal(fallen.alive, [True, False])
+  assert not problem.rest().reached.any()
   problem.reset()
   assert problem.run_knot(modes).alive.all()
 

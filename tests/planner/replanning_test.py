@@ -20,6 +20,7 @@ from tests.planner import replay
 # Time enough to stand there for a while, and to be pushed back.
 _CONFIG = reaching.ReachingConfig((0.7, 0.0, 0.5), 11, 0.3)
 _PUSHES = tuple(pushes_lib.Push(time, (-1.0, 0.0, 0.0)) for time in (1.2, 1.8))
+_REST = 50  # Control steps.
 _SHORT = reaching.ReachingConfig((0.4, 0.0, 0.5), 4, 0.3)
 
 
@@ -82,7 +83,7 @@ def test_a_plan_survives_pushes(policy: pretrained.Policy) -> None:
   assert found.rollouts > lost.rollouts
   assert found.control_steps > lost.control_steps
   for each in (lost, found):
-    assert each.path.shape == (110, 3)
+    assert each.path.shape == (110 + _REST, 3)
     again = replay.replay(policy, _CONFIG, each.plan, _PUSHES)
     np.testing.assert_array_equal(again.paths[0], each.path)
     assert again.returns[0] == pytest.approx(each.episode_return)
@@ -101,7 +102,8 @@ def test_without_pushes_the_first_plan_is_kept(
   np.testing.assert_array_equal(found.path, open_loop.path)
   assert found.rollouts == open_loop.rollouts
   # It is tried again at three knots, each of 10 control steps.
-  assert found.control_steps == open_loop.control_steps + 10 * (3 + 2 + 1)
+  again = 10 * (3 + 2 + 1) + 3 * _REST
+  assert found.control_steps == open_loop.control_steps + again
   for every in (0, 99):
     found = replanning.follow(solver, every=every)
     assert found.plan == open_loop.plan

@@ -20,6 +20,7 @@ from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.reaching import problem as reaching
 from tests.planner import replay
 
+_REST = 50  # Control steps.
 _CONFIG = reaching.ReachingConfig((0.8, 0.0, 0.5), 5, 0.3)
 _PLANNERS = (
   beam_search.BeamConfig(beams=3),
@@ -41,8 +42,10 @@ def test_solve(
   found = solver.solve(reports.append)
   assert found.success
   assert found.final_position[0] == pytest.approx(0.8, abs=0.3)
-  assert found.path.shape == (50, 3)
-  distances = np.linalg.norm(found.path - [0.8, 0.0, 0.5], axis=1)
+  assert found.path.shape == (50 + _REST, 3)
+  assert found.seconds == pytest.approx(3.0)
+  assert found.final_speed < 0.15
+  distances = np.linalg.norm(found.path[:50] - [0.8, 0.0, 0.5], axis=1)
   assert found.episode_return == pytest.approx(np.exp(-distances).sum())
   assert found.control_steps >= 50 * solver_lib.num_worlds(planner, 3)
   assert found.solve_seconds > 0
@@ -55,7 +58,7 @@ def test_solve(
   }
   replayed = replay.replay(policy, _CONFIG, found.plan)
   np.testing.assert_array_equal(replayed.paths[0], found.path)
-  np.testing.assert_array_equal(_in_composer(policy, found), found.path)
+  np.testing.assert_array_equal(_in_composer(policy, found), found.path[:50])
   again = solver.solve()
   assert again.plan == found.plan
   assert again.control_steps == found.control_steps
@@ -119,7 +122,7 @@ def test_what_cannot_be_reached(policy: pretrained.Policy) -> None:
   )
   worlds, alone = 3 * (2 + 4), 6 + 10  # At first there are 6 plans in all.
   assert found.rollouts == 5 * worlds
-  assert found.control_steps <= 50 * (worlds + alone)
+  assert found.control_steps <= 50 * (worlds + alone) + _REST * alone
   replayed = replay.replay(policy, config, found.plan)
   np.testing.assert_array_equal(replayed.paths[0], found.path)
 
@@ -154,7 +157,7 @@ def test_more_beams_find_what_fewer_do_not(
     assert found.success
     assert found.plan.modes == ('walk_forward',) * 5
     assert found.rollouts == 3 * 7
-    assert found.control_steps == 50 * 6
+    assert found.control_steps == (50 + _REST) * 6
   assert [beams for beams, _ in asked] == [1, 2, 4] * 2
   assert asked[:3] == asked[3:]
 
@@ -169,12 +172,12 @@ def test_from_where_a_robot_is(policy: pretrained.Policy) -> None:
     robot.run_knot(np.array([1]))
   found = solver.solve(robot=robot)
   assert found.success
-  assert found.path.shape == (20, 3)
+  assert found.path.shape == (20 + _REST, 3)
   indices = found.plan.indices(robot.mode_set)
   assert len(indices) == 2
   guessed = solver.solve(robot=robot, guess=indices)
   assert guessed.plan == found.plan
-  assert (guessed.rollouts, guessed.control_steps) == (0, 20)
+  assert (guessed.rollouts, guessed.control_steps) == (0, 20 + _REST)
   knots = [robot.run_knot(mode[None]) for mode in indices]
-  trial = problem_lib.trials(knots)
+  trial = problem_lib.trials(knots, robot.rest())
   np.testing.assert_array_equal(trial.paths[0], found.path)

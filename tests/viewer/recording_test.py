@@ -142,7 +142,7 @@ def test_pushes_as_in_the_plan() -> None:
     )
     roll.start()
     path = np.array([step.position for step in roll.steps()])
-    same = np.array_equal(path, planned.paths[0])
+    same = np.array_equal(path, planned.paths[0, : len(path)])
     assert same == bool(pushed)
 
 

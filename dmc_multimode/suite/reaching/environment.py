@@ -182,9 +182,13 @@ class ReachingEnvironment(dm_env.Environment):
 
   @property
   def reached(self) -> bool:
-    """True while the robot is at the goal, upright; see `reaching.reached`."""
-    qpos = self.physics.data.qpos[None]
-    return bool(reaching.reached(qpos, self._terrain, self.goal)[0])
+    """True while the robot stands at the goal; see `reaching.reached`."""
+    data = self.physics.data
+    return bool(
+      reaching.reached(
+        data.qpos[None], data.qvel[None], self._terrain, self.goal
+      )[0]
+    )
 
   def control_timestep(self) -> float:
     """Duration of a knot, seconds."""

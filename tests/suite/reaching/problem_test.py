@@ -39,29 +39,29 @@ def test_rewards() -> None:
   ('goal', 'qpos', 'expected'),
   [
     (_GOAL, _qpos(2.0, 0.5), True),
-    (_GOAL, _qpos(1.71, 0.5), True),
-    (_GOAL, _qpos(1.69, 0.5), False),
-    (_GOAL, _qpos(7.0, 0.5), True),  # Past it on the same segment.
-    # None can be past a goal that is behind the start, or to its side.
-    ((-1.0, 0.0, 0.5), _qpos(0.0, 0.5), False),
-    ((-0.2, 0.0, 0.5), _qpos(0.05, 0.5), True),
-    ((2.0, 0.6, 0.5), _qpos(2.0, 0.5), False),
-    ((2.0, -0.4, 0.5), _qpos(3.0, 0.5), True),
+    (_GOAL, _qpos(1.76, 0.5), True),
+    (_GOAL, _qpos(1.74, 0.5), False),
+    (_GOAL, _qpos(2.26, 0.5), False),  # Past it.
+    ((2.0, 0.19, 0.5), _qpos(2.0, 0.5), True),
+    ((2.0, 0.21, 0.5), _qpos(2.0, 0.5), False),
     (_GOAL, _qpos(2.0, 0.61), True),
     (_GOAL, _qpos(2.0, 0.63), False),
     (_GOAL, _qpos(2.0, 0.37), False),
-    (_GOAL, _qpos(2.0, 0.5, roll=0.79), True),  # cos 0.79 = 0.704.
-    (_GOAL, _qpos(2.0, 0.5, roll=0.80), False),  # cos 0.80 = 0.697.
+    (_GOAL, _qpos(2.0, 0.5, roll=0.44), True),  # cos 0.44 = 0.905.
+    (_GOAL, _qpos(2.0, 0.5, roll=0.46), False),  # cos 0.46 = 0.896.
     (_GOAL, _qpos(2.0, 0.5, roll=math.pi), False),
-    # Past one on the middle segment; 0.4 m over it is 0.6 over the last.
-    ((0.9, 0.0, 0.7), _qpos(1.3, 0.7), False),
+    # Near one on the middle segment, but over the last.
+    ((1.1, 0.0, 0.7), _qpos(1.3, 0.7), False),
   ],
 )
 def test_reached(goal: Any, qpos: np.ndarray, expected: bool) -> None:
   two = terrain_lib.Terrain(*(np.repeat(f, 2, axis=0) for f in _STEPPED))
   qpos = np.concatenate([qpos, _qpos(9.0, -1.0)])  # The second one fell.
-  found = reaching.reached(qpos, two, np.array(goal))
-  np.testing.assert_array_equal(found, [expected, False])
+  qvel = np.zeros((2, 16))
+  for speed, slow in ((0.0, True), (0.14, True), (0.16, False)):
+    qvel[:, 1] = speed
+    found = reaching.reached(qpos, qvel, two, np.array(goal))
+    np.testing.assert_array_equal(found, [expected and slow, False])
 
 
 @pytest.mark.parametrize(
