@@ -155,11 +155,13 @@ class Start:
     if config.one_hot:
       raise ValueError(f'--one_hot: {self.name} knows modes by their latents.')
     size, latent_dim = observations.size, self.policy.mode_set.latent_dim
-    more = size(latent_dim, privileged=True) - size(latent_dim)
+    terms = config.task.observed_terms
+    more = size(latent_dim, True, terms) - size(latent_dim, extra=terms)
     if network.privileged_size not in (0, more):
       raise ValueError(
         f'The value function of {self.name} sees {network.privileged_size} '
-        f'privileged numbers and not the {more} of this version.'
+        f'privileged numbers and not {more}: draw disturbances '
+        '(--task_events_disturbances_*) if its training did, and only then.'
       )
 
   def encode(

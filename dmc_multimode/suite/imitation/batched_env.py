@@ -111,7 +111,7 @@ class BatchedImitation:
     self._auto_reset = auto_reset
     self._replicas = replicas
     latent_dim = task.mode_set.latent_dim
-    extra = self.config.extra_observations
+    extra = self.config.observed_terms
     self._size = observations.size(latent_dim, privileged, extra)
     self.privileged_size = self._size - observations.size(
       latent_dim, extra=extra
@@ -121,7 +121,6 @@ class BatchedImitation:
     self._noisy = max(scale.first, scale.last) > 0
     self._sensor_errors = np.zeros((num_worlds, len(self._noise)))
     self._disturbances = self.config.events.disturbances
-    self._values = disturbances.nominal(num_worlds)
     self._soles = np.full((num_worlds, 2, 3), np.inf)
     self._random_state = (
       seed
@@ -129,7 +128,6 @@ class BatchedImitation:
       else np.random.RandomState(seed)
     )
     self.core = task.make_core(num_worlds, task.episodes.max_knots)
-    self.core.odometry_drift = self._values['odometry_drift']
     if model is None:
       model = mujoco_worlds.compile_model(task)
     self.physics = mujoco_worlds.MujocoWorlds(
@@ -168,7 +166,7 @@ class BatchedImitation:
     return task_symmetry.mirror_image(
       self.mode_set,
       self.privileged_size > 0,
-      self.config.extra_observations,
+      self.config.observed_terms,
     )
 
   @property
@@ -267,7 +265,7 @@ class BatchedImitation:
     config = self.config
     return disturbances.delayed(
       self.core.actions,
-      self._values['action_delay'],
+      self.core.disturbances['action_delay'],
       config.physics_timestep,
       config.substeps,
     )
@@ -365,7 +363,7 @@ class BatchedImitation:
     if self._noisy:
       fields['sensor_errors'] = self._sensor_errors
     for name in self._disturbances.active:
-      fields[f'disturbances/{name}'] = self._values[name]
+      fields[f'disturbances/{name}'] = self.core.disturbances[name]
     for prefix, parts in (
       ('tracker', self.core.tracker.state),
       ('terrain', self.core.terrain),
@@ -540,13 +538,15 @@ class BatchedImitation:
       self._disturbances, share, len(ids), self._random_state
     )
     for name in self._disturbances.active:
-      self._values[name][ids] = drawn[name]
+      self.core.disturbances[name][ids] = drawn[name]
     self._write_body(ids)
 
   def _write_body(self, ids: np.ndarray) -> None:
     """Writes the disturbances of the worlds `ids` into their models."""
     if self._disturbances.active and len(ids):
-      values = {name: value[ids] for name, value in self._values.items()}
+      values = {
+        name: value[ids] for name, value in self.core.disturbances.items()
+      }
       self.physics.write_body(ids, values)
 
   def _move_boxes(self, ids: np.ndarray) -> None:

@@ -70,7 +70,6 @@ class Imitation(composer.Task):
     self._return = 0.0
     self._random_state = np.random.RandomState()  # Until there is one.
     self._episode: episodes_lib.Episodes | None = None
-    self._values = disturbances.nominal(1)
     self._body: tuple[Any, disturbances.Body] | None = None
     self._targets = np.zeros((self.config.substeps, observations.NUM_JOINTS))
     self._noise = observations.noise(
@@ -217,10 +216,9 @@ class Imitation(composer.Task):
     scheduled = self.config.events
     if not scheduled.disturbances.active:
       return
-    self._values = disturbances.draw(
+    self.core.disturbances = disturbances.draw(
       scheduled.disturbances, scheduled.disturbance_share.at(0), 1, random_state
     )
-    self.core.odometry_drift = self._values['odometry_drift']
     if self._body is None or self._body[0] is not physics.model:
       model = physics.model.ptr
       nominal = copy.copy(model)
@@ -235,7 +233,7 @@ class Imitation(composer.Task):
         ),
       )
     body = self._body[1]
-    body.write(_WORLD, self._values)
+    body.write(_WORLD, self.core.disturbances)
     if body.changes_mass:
       mujoco.mj_setConst(physics.model.ptr, mujoco.MjData(physics.model.ptr))
 
@@ -284,7 +282,7 @@ class Imitation(composer.Task):
     self.core.act(np.clip(action, bounds.minimum, bounds.maximum)[None])
     self._targets = disturbances.delayed(
       self.core.actions,
-      self._values['action_delay'],
+      self.core.disturbances['action_delay'],
       self.config.physics_timestep,
       self.config.substeps,
     )[0]

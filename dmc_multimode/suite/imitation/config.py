@@ -59,7 +59,7 @@ class ImitationConfig:
   contact_force: config_lib.NonNegative = 1.0
 
   def __post_init__(self) -> None:
-    observations.terms(extra=self.extra_observations)
+    observations.check_extra(self.extra_observations)
     ratio = self.control_timestep / self.physics_timestep
     if abs(ratio - round(ratio)) > 1e-6 or ratio < 1:
       raise ValueError(
@@ -82,6 +82,12 @@ class ImitationConfig:
     """Actions that a world remembers: for its costs, and for the delay."""
     longest = self.events.disturbances.action_delay[1] / self.control_timestep
     return max(3, math.ceil(round(longest, 6)) + 1)
+
+  @property
+  def observed_terms(self) -> tuple[str, ...]:
+    """Names of the observed terms beyond the paper's, the critic's included."""
+    drawn = bool(self.events.disturbances.active)
+    return self.extra_observations + (observations.DISTURBANCES.name,) * drawn
 
   @functools.cached_property
   def horizon(self) -> int:

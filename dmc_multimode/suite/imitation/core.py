@@ -62,7 +62,7 @@ class ImitationCore:
     actions: last joint targets, the newest first, radians, [B, H, 10]; at the
       start of an episode, the joints' angles.
     distance_slack: added to the limit on the distance, metres.
-    odometry_drift: of the observed displacement, see `Disturbances`, [B].
+    disturbances: values by row of `Disturbances`, [B] each.
   """
 
   def __init__(
@@ -87,7 +87,7 @@ class ImitationCore:
     config.check_modes(mode_set.motions)
     self.config = config
     self.distance_slack = 0.0
-    self.odometry_drift = np.zeros(num_worlds)
+    self.disturbances = disturbances.nominal(num_worlds)
     self.tracker = commands.ModeTracker(
       mode_set,
       config.control_timestep,
@@ -356,7 +356,8 @@ class ImitationCore:
       reference = self.tracker.reference(ids)
       displacement = qpos[:, :2] - reference.position[:, :2]
       displacement += disturbances.odometry_error(
-        qpos[:, :2] - state.anchor[ids, :2], self.odometry_drift[ids]
+        qpos[:, :2] - state.anchor[ids, :2],
+        self.disturbances['odometry_drift'][ids],
       )
     return observations.observe(
       observations.policy_view(
@@ -394,5 +395,7 @@ class ImitationCore:
         countdown,
         following,
         *terrain_lib.next_segment(terrain, x),
-      )
+        {name: value[ids] for name, value in self.disturbances.items()},
+      ),
+      self.config.observed_terms,
     )

@@ -37,6 +37,16 @@ _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 _HORIZON = 1.5  # Seconds: the countdown saturates here.
 _SIGHT = 1.0  # Metres: the distance to a ledge saturates here.
 _ASTRAY = 0.5  # Metres: the displacement saturates here.
+# Rows of `Disturbances` that act on the robot; none changes in a mirror.
+_FELT_DISTURBANCES = (
+  'action_delay',
+  'friction',
+  'mass',
+  'payload',
+  'centre_of_mass',
+  'motor_strength',
+  'slope',
+)
 
 
 class PolicyView(NamedTuple):
@@ -85,6 +95,7 @@ class CriticView(NamedTuple):
       infinite without one, [B].
     rise: height of that segment over the support, metres, [B].
     gap: width of the gap before that segment, metres, [B].
+    disturbances: values by row of `Disturbances`, [B] each.
   """
 
   position: np.ndarray
@@ -96,6 +107,7 @@ class CriticView(NamedTuple):
   edge: np.ndarray
   rise: np.ndarray
   gap: np.ndarray
+  disturbances: Mapping[str, np.ndarray]
 
 
 FRAMES: Mapping[str, str] = {
@@ -231,6 +243,15 @@ CRITIC_TERMS: tuple[Term, ...] = (
   Term('next_command', '', lambda view: view.next_command, None),
   Term('ground_ahead', 'm', lambda view: _ground_ahead(view), 3),
 )
+# The critic's, in trainings that draw them.
+DISTURBANCES = Term(
+  'disturbances',
+  '',
+  lambda view: np.stack(
+    [view.disturbances[name] for name in _FELT_DISTURBANCES], axis=-1
+  ),
+  len(_FELT_DISTURBANCES),
+)
 
 
 def terms(
@@ -240,19 +261,26 @@ def terms(
 
   Args:
     privileged: with the critic's terms.
-    extra: names of the terms beyond the paper's, of `EXTRA_TERMS`.
-
-  Raises:
-    ValueError: a name is unknown.
+    extra: names of the terms beyond the paper's, of `EXTRA_TERMS`; with that of
+      `DISTURBANCES` the critic observes these.
   """
   chosen = tuple(extra)
-  for name in chosen:
+  more = tuple(term for term in EXTRA_TERMS if term.name in chosen)
+  return PAPER_TERMS + more + (critic_terms(chosen) if privileged else ())
+
+
+def check_extra(names: Iterable[str]) -> None:
+  """Raises ValueError unless all names are of `EXTRA_TERMS`."""
+  for name in names:
     if name not in EXTRA_NAMES:
       raise ValueError(
         f'unknown observation {name!r:.50}; there are {", ".join(EXTRA_NAMES)}'
       )
-  more = tuple(term for term in EXTRA_TERMS if term.name in chosen)
-  return PAPER_TERMS + more + (CRITIC_TERMS if privileged else ())
+
+
+def critic_terms(extra: Iterable[str] = ()) -> tuple[Term, ...]:
+  """Returns the terms of the critic alone, in order; see `terms`."""
+  return CRITIC_TERMS + (DISTURBANCES,) * (DISTURBANCES.name in extra)
 
 
 def layout(
@@ -391,9 +419,11 @@ def observe(
   return {term.name: term.function(view) for term in terms(extra=extra)}
 
 
-def observe_privileged(view: CriticView) -> dict[str, np.ndarray]:
+def observe_privileged(
+  view: CriticView, extra: Iterable[str] = ()
+) -> dict[str, np.ndarray]:
   """Returns the critic's parts by name, in the order of `layout`."""
-  return {term.name: term.function(view) for term in CRITIC_TERMS}
+  return {term.name: term.function(view) for term in critic_terms(extra)}
 
 
 def flatten(parts: Mapping[str, np.ndarray]) -> np.ndarray:

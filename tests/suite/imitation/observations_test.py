@@ -5,8 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dmc_multimode.suite.imitation import disturbances
 from dmc_multimode.suite.imitation import observations
 
+_EVERY = (*observations.EXTRA_NAMES, observations.DISTURBANCES.name)
 _C = np.sqrt(0.5)
 _JOINTS = np.arange(10) / 10
 _EXCHANGED = np.roll(_JOINTS, 5)  # Left and right legs.
@@ -57,7 +59,12 @@ def _critic_sees(
       edge=np.array([5.1 + distance]),
       rise=np.array([-0.1]),
       gap=np.array([0.2]),
-    )
+      disturbances={
+        name: np.array([number])
+        for name, number in zip(disturbances.nominal(1), range(8), strict=True)
+      },
+    ),
+    _EVERY,
   )
 
 
@@ -80,12 +87,13 @@ _TERMS: dict[str, tuple[Any, Any]] = {
   'countdown': ((0.6,), (0.6,)),
   'next_command': ((7.0, 8.0, 9.0, 10.0), (7.0, 8.0, 9.0, 10.0)),
   'ground_ahead': ((0.25, -0.1, 0.2), (0.25, -0.1, 0.2)),
+  'disturbances': (range(7), range(7)),
 }
 
 
 def test_terms_by_hand() -> None:
   parts = {**_policy_sees(), **_critic_sees()}
-  terms = observations.terms(True, observations.EXTRA_NAMES)
+  terms = observations.terms(True, _EVERY)
   assert [term.name for term in terms] == list(_TERMS)
   assert list(parts) == list(_TERMS)
   for name, (expected, _) in _TERMS.items():
@@ -93,7 +101,7 @@ def test_terms_by_hand() -> None:
 
 
 def test_mirror_image_by_hand() -> None:
-  order, signs, latents = observations.mirror(4, True, observations.EXTRA_NAMES)
+  order, signs, latents = observations.mirror(4, True, _EVERY)
   flat = observations.flatten({**_policy_sees(), **_critic_sees()})[0]
   expected = np.concatenate([mirrored for _, mirrored in _TERMS.values()])
   np.testing.assert_allclose(signs * flat[order], expected, atol=1e-6)
@@ -104,7 +112,7 @@ def test_mirror_image_by_hand() -> None:
 def test_layout() -> None:
   parts = {**_policy_sees(), **_critic_sees()}
   sizes = [(name, part.shape[1]) for name, part in parts.items()]
-  extra = observations.EXTRA_NAMES
+  extra = _EVERY
   assert tuple(sizes) == observations.layout(4, True, extra)
   assert tuple(sizes[:8]) == observations.layout(4)
   assert (observations.size(4), observations.size(11)) == (37, 44)
@@ -119,7 +127,7 @@ def test_layout() -> None:
   noise = observations.noise(4, extra)
   np.testing.assert_array_equal(noise[[0, 6, 11, 37]], [0, 0.01, 0.01, 0.01])
   with pytest.raises(ValueError, match="unknown observation 'lidar'; there"):
-    observations.terms(extra=['lidar'])
+    observations.check_extra(['lidar'])
 
 
 @pytest.mark.parametrize(
