@@ -8,7 +8,7 @@ r"""Runs an exported policy in plain MuJoCo: nothing here is of dmc_multimode.
 For 20 s the robot walks, leaps, stands, walks up to the block, launches itself
 onto it and stands there. A third argument delays actions by so many seconds.
 docs/DEPLOY.md has the formulas; modes that turn would also need the heading,
-which is 0 here.
+which is 0 here, and policies that scan the ground a scan.
 """
 
 import json
@@ -29,26 +29,60 @@ class Controller:
     self.about = json.loads(path.with_suffix('.json').read_text())
     self.modes = {mode['name']: mode for mode in self.about['modes']}
     self.mode, self.phase = self.modes['idle'], 0.0
+    self.anchor, self.pace = np.zeros(2), 1.0
+    self._action: np.ndarray | None = None
     self._model = onnxruntime.InferenceSession(path)
 
-  def command(self, name: str) -> None:
-    """Starts a mode, unless it runs."""
-    if self.mode['name'] != name:
-      self.mode, self.phase = self.modes[name], 0.0
+  def command(self, name: str, place: np.ndarray, speed: np.ndarray) -> None:
+    """Starts a mode, unless it runs, where the trunk is; x and y of both."""
+    if self.mode['name'] == name:
+      return
+    self.mode, self.phase, self.anchor = self.modes[name], 0.0, place.copy()
+    way = self._frames()[-1] - self._frames()[0]
+    own = speed @ way * self.mode['duration'] / max(way @ way, 1e-9)
+    self.pace = float(np.clip(own, 0, 1)) if self.mode['ramps'] else 1.0
 
-  def act(self, sensed: dict[str, np.ndarray]) -> np.ndarray:
-    """Returns joint targets for the other parts of the observation."""
+  def _frames(self) -> np.ndarray:
+    """Returns x and y of the mode's keyframes, [K, 2]."""
+    return np.array([key['position'][:2] for key in self.mode['keyframes']])
+
+  def reference(self) -> np.ndarray:
+    """Returns x and y of where the trunk should be."""
+    phases = [key['phase'] for key in self.mode['keyframes']]
+    local = [np.interp(self.phase, phases, axis) for axis in self._frames().T]
+    slow = self.pace + (1 - self.pace) * self.phase / 2
+    return self.anchor + slow * np.array(local)
+
+  def advance(self) -> None:
+    """Advances the clock by a control step."""
+    self.phase += self.about['control_timestep'] / self.mode['duration']
+    if self.phase >= 1 and self.mode['kind'] == 'transient':
+      self.phase = 1.0
+    elif self.phase >= 1:
+      way = self._frames()[-1] - self._frames()[0]
+      if self.mode['kind'] == 'periodic':
+        self.anchor += way * (1 + self.pace) / 2
+      self.phase, self.pace = self.phase - 1, 1.0
+
+  def act(self, place: np.ndarray, sensed: dict[str, np.ndarray]) -> np.ndarray:
+    """Returns joint targets; x and y of the trunk are those of odometry."""
+    if self._action is None:
+      self._action = sensed['joints_pos']
     angle = 2 * np.pi * self.phase
-    clock = [np.sin(angle), np.cos(angle)]
-    parts = {'clock': clock, 'command': self.mode['latent'], **sensed}
+    parts = {
+      'clock': [np.sin(angle), np.cos(angle)],
+      'command': self.mode['latent'],
+      'displacement': np.clip(place - self.reference(), -0.5, 0.5),
+      'clock_rate': [1.0],
+      'previous_action': self._action,
+      **sensed,
+    }
     seen = np.concatenate([parts[p['name']] for p in self.about['observation']])
     seen = seen[None].astype(np.float32)
     (actions,) = self._model.run(None, {'observation': seen})
-    self.phase += self.about['control_timestep'] / self.mode['duration']
-    if self.phase >= 1:
-      self.phase = 1.0 if self.mode['kind'] == 'transient' else self.phase - 1
     bounds = self.about['action']
-    return np.clip(actions[0], bounds['minimum'], bounds['maximum'])
+    self._action = np.clip(actions[0], bounds['minimum'], bounds['maximum'])
+    return self._action
 
 
 def sense(data: mujoco.MjData, support: float) -> dict[str, np.ndarray]:
@@ -90,12 +124,14 @@ def main(policy: str, scene: str, delay: str = '0') -> int:
     _, seconds, place = schedule[0]
     if time - began > seconds - period / 2 or data.qpos[0] > place:
       began, schedule = time, schedule[1:]
-    controller.command(schedule[0][0])
+    place = data.qpos[:2]
+    controller.command(schedule[0][0], place, data.qvel[:2])
     support = tops[starts <= data.qpos[0]][-1]
-    action = controller.act(sense(data, support))
+    action = controller.act(place, sense(data, support))
     mujoco.mj_step(model, data, late)
     data.ctrl[servos] = action
     mujoco.mj_step(model, data, steps - late)
+    controller.advance()
     x, z = data.qpos[0], data.qpos[2] - tops[starts <= data.qpos[0]][-1]
     if began == time or not z > controller.about['fallen_below']:
       print(f'{time:5.2f} s: {controller.mode["name"]} at x = {x:.2f} m')

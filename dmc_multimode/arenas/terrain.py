@@ -61,6 +61,22 @@ def segment_start(terrain: Terrain, x: np.ndarray) -> np.ndarray:
   return terrain.starts[np.arange(len(x)), _segment_under(terrain, x)]
 
 
+def profile(
+  terrain: Terrain, x: np.ndarray, nothing: float = -np.inf
+) -> np.ndarray:
+  """Returns the heights of the ground at places of each world, metres, [B, K].
+
+  Args:
+    terrain: B terrains.
+    x: world positions, metres, [B, K].
+    nothing: height where there is no ground, metres.
+  """
+  at = x[:, :, None]
+  starts, ends, tops = (field[:, None] for field in terrain)
+  top = np.where((starts <= at) & (at <= ends), tops, -np.inf).max(axis=-1)
+  return np.where(np.isfinite(top), top, nothing)
+
+
 def clearance_height(
   terrain: Terrain, x: np.ndarray, reach: float
 ) -> np.ndarray:

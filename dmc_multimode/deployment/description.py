@@ -37,6 +37,8 @@ FORMULAS: Mapping[str, str] = {
   'odometry since the command, less the way of the reference',
   'clock_rate': 'rate of the clock; 1 is as the modes say',
   'previous_action': 'the action before; at the start q',
+  'ground_scan': 'clip(ground - support, -0.6, 0.6) at -0.18, -0.09, ... 1.17 '
+  'm along the heading from the trunk; -0.6 where there is none',
 }
 _CLOCK: Mapping[str, Any] = {
   'start': 'phase = 0, heading = 0: the first mode',
@@ -48,6 +50,14 @@ _CLOCK: Mapping[str, Any] = {
   },
   'command': 'another mode: heading += yaw of the old one at its phase, phase '
   '= 0; the running mode: nothing',
+}
+_REFERENCE: Mapping[str, str] = {
+  'command': 'another mode: anchor = p; way = last less first keyframe, turned '
+  'by the heading; pace = clip(dp/dt . way duration / |way|^2, 0, 1) of a mode '
+  'that ramps, else 1; x and y of each',
+  'place': 'anchor + Rz(heading) k (pace + (1 - pace) phase / 2), with k the '
+  'keyframes at the phase, linear in between',
+  'end': 'of a periodic cycle: anchor += way (1 + pace) / 2, pace = 1',
 }
 _TORQUE = 'clip(stiffness (action - q) - damping dq/dt, -limit, limit)'
 
@@ -63,8 +73,9 @@ def describe(policy: pretrained.Policy) -> dict[str, Any]:
     'model': {'input': 'observation', 'output': 'action'},
     'control_timestep': config.control_timestep,
     'physics_timestep': config.physics_timestep,
-    'modes': _modes(policy.mode_set),
+    'modes': _modes(policy.mode_set, config.feasible_references),
     'clock': dict(_CLOCK),
+    'reference': dict(_REFERENCE),
     'observation': parts(
       policy.mode_set.latent_dim, policy.config.extra_observations
     ),
@@ -106,18 +117,23 @@ def parts(latent_dim: int, extra: Iterable[str] = ()) -> list[dict[str, Any]]:
   return found
 
 
-def _modes(mode_set: mode_set_lib.ModeSet) -> list[dict[str, Any]]:
-  """Returns the modes as in a mode file, each with latent and turn."""
+def _modes(
+  mode_set: mode_set_lib.ModeSet, feasible_references: bool
+) -> list[dict[str, Any]]:
+  """Returns the modes as in a mode file, each with what follows from it."""
+  ramps = mode_set.bank.level & feasible_references
   return [
     {
       **mode_files.motion_to_dict(motion),
       'latent': latent,
       'turn': turn,  # Radians a cycle.
+      'ramps': ramp,  # From the robot's own speed, see `_REFERENCE`.
     }
-    for motion, latent, turn in zip(
+    for motion, latent, turn, ramp in zip(
       mode_set.motions,
       mode_set.latents.tolist(),
       mode_set.bank.turns.tolist(),
+      ramps.tolist(),
       strict=True,
     )
   ]

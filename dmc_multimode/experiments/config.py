@@ -10,7 +10,6 @@ from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import mode_sampler
-from dmc_multimode.suite.imitation import observations
 from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import constants
 from dmc_multimode.utils import schedule
@@ -58,7 +57,7 @@ class RunConfig:
   task: task_config.ImitationConfig = task_config.ImitationConfig(
     # As good as 5 ms, and a quarter faster.
     physics_timestep=0.0075,
-    extra_observations=observations.EXTRA_NAMES,
+    extra_observations=('displacement', 'clock_rate', 'previous_action'),
     events=events.TrainingEvents(
       # A looser bound on the distance at first.
       distance_slack=schedule.Schedule(0.15, 0.0, 0, 3_000_000),

@@ -84,6 +84,13 @@ def test_clearance_height_by_hand(
   assert terrain.clearance_height(down, np.array([1.05]), 0.1)[0] == 0.5
 
 
+def test_profile_by_hand() -> None:
+  two = _COURSE.rows(np.array([0, 0]))
+  x = np.array([[0.0, 1.2, 1.5], [1.9, 2.5, 9.5]])
+  heights = terrain.profile(two, x, nothing=-1.0)
+  np.testing.assert_array_equal(heights, [[0.0, -1.0, 0.2], [0.2, 0.6, -1.0]])
+
+
 def _next(course: terrain.Terrain, x: float) -> tuple[float, float, float]:
   """Returns `next_segment` of one point of one terrain."""
   start, rise, gap = terrain.next_segment(course, np.array([x]))

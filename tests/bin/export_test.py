@@ -7,7 +7,7 @@ import re
 import subprocess
 import sys
 import types
-from typing import Iterator
+from typing import Any, Iterator
 
 import mujoco
 import numpy as np
@@ -15,8 +15,10 @@ import pytest
 
 from dmc_multimode import pretrained
 from dmc_multimode.deployment import description
+from dmc_multimode.modes import schedule
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
+from dmc_multimode.suite.imitation import commands
 from dmc_multimode.suite.imitation import observations
 from tests.bin import processes
 
@@ -118,11 +120,37 @@ def test_the_description_is_that_of_the_task(out: pathlib.Path) -> None:
   )
 
 
-def test_the_example_senses_what_the_task_observes() -> None:
+def _example() -> Any:
   spec = importlib.util.spec_from_file_location('example', _EXAMPLE)
   assert spec and spec.loader
   example = importlib.util.module_from_spec(spec)
   spec.loader.exec_module(example)
+  return example
+
+
+def test_the_examples_reference_is_that_of_the_task(out: pathlib.Path) -> None:
+  controller = _example().Controller(out)
+  known = pretrained.load('pi2').mode_set
+  tracker, one = commands.ModeTracker(known, 0.03, 1, 1, True), np.array([0])
+  tracker.reset(one, schedule.single(one), np.zeros(1), np.zeros(1))
+  for mode in controller.modes.values():
+    mode['ramps'] = bool(known.bank.level[known.index(mode['name'])])
+  random = np.random.RandomState(0)
+  for step in range(400):
+    place, speed = random.standard_normal((2, 1, 3))
+    if not step % 30 and step:
+      mode = random.randint(4, size=1)
+      if mode != tracker.state.mode:
+        tracker.command(one, mode, place, np.zeros(1), speed)
+      controller.command(known.names[mode[0]], place[0, :2], speed[0, :2])
+    expected = tracker.reference().position[0, :2]
+    np.testing.assert_allclose(controller.reference(), expected, atol=1e-9)
+    tracker.advance()
+    controller.advance()
+
+
+def test_the_example_senses_what_the_task_observes() -> None:
+  example = _example()
   random = np.random.RandomState(0)
   for _ in range(20):  # Half of the quaternions have a negative w.
     qpos, qvel = random.standard_normal(17), random.standard_normal(16)
@@ -139,6 +167,7 @@ def test_the_example_senses_what_the_task_observes() -> None:
       displacement=np.zeros((1, 2)),
       clock_rate=zero + 1,
       actions=np.zeros((1, 3, 10)),
+      ground=np.zeros((1, 16)),
     )
     observed = observations.observe(view)
     assert {*seen, 'clock', 'command'} == set(observed)

@@ -359,20 +359,37 @@ class ImitationCore:
         qpos[:, :2] - state.anchor[ids, :2],
         self.disturbances['odometry_drift'][ids],
       )
+    support = terrain_lib.support_height(terrain, qpos[:, 0])
     return observations.observe(
       observations.policy_view(
         qpos,
         qvel,
-        terrain_lib.support_height(terrain, qpos[:, 0]),
+        support,
         heading[ids],
         phase[ids],
         self.tracker.commands()[ids],
         displacement,
         state.clock_rate[ids],
         self.actions[ids],
+        self._scan(terrain, qpos[:, 0], heading[ids], support)
+        if 'ground_scan' in extra
+        else np.zeros((len(qpos), 0)),
       ),
       extra,
     )
+
+  def _scan(
+    self,
+    terrain: terrain_lib.Terrain,
+    x: np.ndarray,
+    heading: np.ndarray,
+    support: np.ndarray,
+  ) -> np.ndarray:
+    """Returns the heights at `observations.SCAN` of N worlds, [N, 16]."""
+    # The ground changes along x alone.
+    places = np.cos(heading)[:, None] * np.array(observations.SCAN)
+    heights = terrain_lib.profile(terrain, x[:, None] + places)
+    return heights - support[:, None]
 
   def observe_privileged(
     self, qpos: np.ndarray, ids: np.ndarray | slice = slice(None)

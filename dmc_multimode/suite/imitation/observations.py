@@ -37,6 +37,9 @@ _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 _HORIZON = 1.5  # Seconds: the countdown saturates here.
 _SIGHT = 1.0  # Metres: the distance to a ledge saturates here.
 _ASTRAY = 0.5  # Metres: the displacement saturates here.
+# Metres ahead of the trunk, along the commanded heading, of the ground's scan.
+SCAN = tuple(round(0.09 * i - 0.18, 2) for i in range(16))
+_DEEP = 0.6  # Metres: the scan saturates here.
 # Rows of `Disturbances` that act on the robot; none changes in a mirror.
 _FELT_DISTURBANCES = (
   'action_delay',
@@ -65,6 +68,8 @@ class PolicyView(NamedTuple):
       [B, 2].
     clock_rate: rate of the phase clock, 1 being the reference's own, [B].
     actions: last joint targets, the newest first, radians, [B, H, 10].
+    ground: heights of the ground at `SCAN` over the support plane, metres,
+      [B, 16]; minus infinity where there is none.
     quaternion: of the trunk, (w, x, y, z), finite, [B, 4].
     trunk: the same orientations as rotations, B of them.
   """
@@ -78,6 +83,7 @@ class PolicyView(NamedTuple):
   displacement: np.ndarray
   clock_rate: np.ndarray
   actions: np.ndarray
+  ground: np.ndarray
   quaternion: np.ndarray
   trunk: 'transform.Rotation'
 
@@ -224,6 +230,15 @@ EXTRA_TERMS: tuple[Term, ...] = (
     lambda view: view.actions[:, 0],
     NUM_JOINTS,
     order=_LEGS_EXCHANGED,
+  ),
+  # On a robot: from a depth camera or a map.
+  Term(
+    'ground_scan',
+    'm',
+    lambda view: np.clip(view.ground, -_DEEP, _DEEP),
+    len(SCAN),
+    frame='heading',
+    noise=0.02,
   ),
 )
 EXTRA_NAMES = tuple(term.name for term in EXTRA_TERMS)
@@ -388,6 +403,7 @@ def policy_view(
   displacement: np.ndarray,
   clock_rate: np.ndarray,
   actions: np.ndarray,
+  ground: np.ndarray,
 ) -> PolicyView:
   """Returns the inputs of the policy's terms; see `PolicyView`."""
   from scipy.spatial import transform  # Late: scipy imports slowly.
@@ -407,6 +423,7 @@ def policy_view(
     displacement,
     clock_rate,
     actions,
+    ground,
     quaternion,
     trunk,
   )

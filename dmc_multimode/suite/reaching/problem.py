@@ -263,8 +263,6 @@ def ground_ahead(terrain: terrain_lib.Terrain, x: np.ndarray) -> np.ndarray:
     terrain: under the B robots.
     x: of their trunks, world metres, [B].
   """
-  at = (x[:, None] + np.array(AHEAD))[:, :, None]
-  starts, ends, tops = (field[:, None] for field in terrain)
-  top = np.where((starts <= at) & (at <= ends), tops, -np.inf).max(axis=-1)
+  top = terrain_lib.profile(terrain, x[:, None] + np.array(AHEAD))
   support = terrain_lib.support_height(terrain, x)[:, None]
   return np.where(np.isfinite(top), top - support, GAP)

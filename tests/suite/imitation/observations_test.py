@@ -11,6 +11,7 @@ from dmc_multimode.suite.imitation import observations
 _EVERY = (*observations.EXTRA_NAMES, observations.DISTURBANCES.name)
 _C = np.sqrt(0.5)
 _JOINTS = np.arange(10) / 10
+_SCANNED = np.minimum(np.linspace(-0.6, 0.9, 16), 0.6)
 _EXCHANGED = np.roll(_JOINTS, 5)  # Left and right legs.
 _QPOS = np.concatenate([[5.0, 6.0, 0.9], [_C, 0.0, 0.0, _C], _JOINTS])
 _QVEL = np.concatenate([[0.0, 2.0, 3.0], [0.1, 0.2, 0.3], _JOINTS + 20])
@@ -36,6 +37,7 @@ def _policy_sees(
       displacement=np.array([[0.3, -0.8]]),
       clock_rate=np.array([1.5]),
       actions=np.stack([_JOINTS + 30, _JOINTS])[None],
+      ground=np.linspace(-0.6, 0.9, 16)[None],
     ),
     observations.EXTRA_NAMES,
   )
@@ -82,6 +84,7 @@ _TERMS: dict[str, tuple[Any, Any]] = {
   'displacement': ((0.3, -0.5), (0.3, 0.5)),  # Saturated.
   'clock_rate': ((1.5,), (1.5,)),
   'previous_action': (_JOINTS + 30, _EXCHANGED + 30),
+  'ground_scan': (_SCANNED, _SCANNED),  # Saturated.
   'position_error': ((0.1, 0.2, -0.3), (0.1, -0.2, -0.3)),
   'contact': ((1.0, 0.0), (0.0, 1.0)),
   'countdown': ((0.6,), (0.6,)),
@@ -106,7 +109,7 @@ def test_mirror_image_by_hand() -> None:
   expected = np.concatenate([mirrored for _, mirrored in _TERMS.values()])
   np.testing.assert_allclose(signs * flat[order], expected, atol=1e-6)
   np.testing.assert_array_equal(order[order], np.arange(len(order)))
-  assert latents == (2, 56)
+  assert latents == (2, 72)
 
 
 def test_layout() -> None:
@@ -118,7 +121,7 @@ def test_layout() -> None:
   assert (observations.size(4), observations.size(11)) == (37, 44)
   assert observations.size(4, True, extra) == sum(size for _, size in sizes)
   flat = observations.flatten(_policy_sees())
-  assert (flat.shape, flat.dtype) == ((1, 50), np.float32)
+  assert (flat.shape, flat.dtype) == ((1, 66), np.float32)
   for name, length in observations.layout(4, True, extra):
     place = observations.part(name, 4, True, extra)
     assert place.stop - place.start == length
