@@ -535,7 +535,11 @@ class BatchedImitation:
     """Draws the disturbances of the worlds `ids`."""
     share = self.config.events.disturbance_share.at(self.steps)
     drawn = disturbances.draw(
-      self._disturbances, share, len(ids), self._random_state
+      self._disturbances,
+      share,
+      len(ids),
+      self._random_state,
+      self.config.events.disturbance_fraction,
     )
     for name in self._disturbances.active:
       self.core.disturbances[name][ids] = drawn[name]

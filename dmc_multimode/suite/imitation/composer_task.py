@@ -217,7 +217,11 @@ class Imitation(composer.Task):
     if not scheduled.disturbances.active:
       return
     self.core.disturbances = disturbances.draw(
-      scheduled.disturbances, scheduled.disturbance_share.at(0), 1, random_state
+      scheduled.disturbances,
+      scheduled.disturbance_share.at(0),
+      1,
+      random_state,
+      scheduled.disturbance_fraction,
     )
     if self._body is None or self._body[0] is not physics.model:
       model = physics.model.ptr

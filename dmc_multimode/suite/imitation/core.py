@@ -321,6 +321,7 @@ class ImitationCore:
       rise / self.config.control_timestep,
       observations.in_heading(apart, state.heading)[:, 1],
       bank.steady[state.mode],
+      ~(bank.flies | (bank.takeoffs > 0))[state.mode],
       bank.straight[state.mode],
     )
 

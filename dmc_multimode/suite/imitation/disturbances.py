@@ -119,6 +119,7 @@ def draw(
   share: float,
   count: int,
   random_state: np.random.RandomState,
+  fraction: float = 1.0,
 ) -> dict[str, np.ndarray]:
   """Draws the disturbances of `count` robots.
 
@@ -127,6 +128,7 @@ def draw(
     share: of the way from the nominal values to the drawn ones, in [0, 1].
     count: N.
     random_state: source; nothing is drawn for nominal rows.
+    fraction: probability of each row to be drawn, and not nominal.
 
   Returns:
     Values by row, [N] each.
@@ -135,6 +137,9 @@ def draw(
   for name in config.active:
     low, high = getattr(config, name)
     drawn = random_state.uniform(low, high, count)
+    if fraction < 1:
+      kept = random_state.uniform(size=count) >= fraction
+      drawn = np.where(kept, values[name], drawn)
     values[name] += share * (drawn - values[name])
   return values
 

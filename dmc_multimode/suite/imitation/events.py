@@ -51,6 +51,8 @@ class TrainingEvents:
     push_interval: mean time between the pushes of a robot, seconds.
     disturbances: of body, servos and ground, drawn for each episode.
     disturbance_share: of the way from the nominal robot to the drawn one.
+    disturbance_fraction: probability of each row of the disturbances to be
+      drawn for an episode, and not nominal.
     sensor_noise: factor of the noise of `observations.Term`.
     costs: of motions that are not quiet, which are subtracted from the reward
       and not from normalised returns.
@@ -67,6 +69,7 @@ class TrainingEvents:
   push_interval: config.Positive = 1.5
   disturbances: disturbances_lib.Disturbances = disturbances_lib.NOMINAL
   disturbance_share: schedule.ShareField = schedule.constant(1.0)
+  disturbance_fraction: config.Share = 1.0
   sensor_noise: schedule.ScheduleField = _ZERO
   costs: motion_costs.CostWeights = motion_costs.NONE
   cost_share: schedule.ShareField = schedule.constant(1.0)

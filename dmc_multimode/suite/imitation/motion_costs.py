@@ -35,6 +35,7 @@ class Motion(NamedTuple):
     sole_velocity: of the soles, vertical, m/s, [B, 2].
     width: sideways from the right to the left sole, metres, [B].
     steady: whether the running mode is one pose, [B].
+    grounded: whether the running mode has no flight, [B].
     straight: whether it steps with one foot at a time and neither turns nor
       goes sideways, [B].
   """
@@ -47,6 +48,7 @@ class Motion(NamedTuple):
   sole_velocity: np.ndarray
   width: np.ndarray
   steady: np.ndarray
+  grounded: np.ndarray
   straight: np.ndarray
 
 
@@ -63,10 +65,13 @@ def action_acceleration(motion: Motion) -> np.ndarray:
 
 
 def touch_down(motion: Motion) -> np.ndarray:
-  """Returns squares of fast approaches to the ground, m^2/s^2, [B]."""
+  """Returns squares of fast approaches to the ground, m^2/s^2, [B].
+
+  Those of modes with a flight are as fast as its height makes them.
+  """
   excess = np.maximum(-motion.sole_velocity - _SOFT_LANDING, 0.0)
   near = np.exp(-np.maximum(motion.clearance, 0.0) / _APPROACH)
-  return np.sum(near * excess**2, axis=1)
+  return np.where(motion.grounded, np.sum(near * excess**2, axis=1), 0.0)
 
 
 def joint_limit(motion: Motion) -> np.ndarray:
@@ -105,7 +110,8 @@ class CostWeights:
   Attributes:
     action_change: of squared changes of the joint targets, 1/rad^2.
     action_acceleration: of squared changes of these changes, 1/rad^2.
-    touch_down: of the squared excess of touch-downs over 0.5 m/s, s^2/m^2.
+    touch_down: of the squared excess of touch-downs over 0.5 m/s in modes
+      without a flight, s^2/m^2.
     joint_limit: of joints within 3 degrees of a limit, or beyond.
     lifted_foot: of feet off the ground in steady modes.
     straddle: of feet too far apart or too close in straight gaits.
@@ -113,8 +119,8 @@ class CostWeights:
 
   action_change: config.NonNegative = _row(action_change, 1.0)
   action_acceleration: config.NonNegative = _row(action_acceleration, 0.25)
-  touch_down: config.NonNegative = _row(touch_down, 0.1)
-  joint_limit: config.NonNegative = _row(joint_limit, 0.05)
+  touch_down: config.NonNegative = _row(touch_down, 0.15)
+  joint_limit: config.NonNegative = _row(joint_limit, 0.15)
   lifted_foot: config.NonNegative = _row(lifted_foot, 0.2)
   straddle: config.NonNegative = _row(straddle, 0.1)
 

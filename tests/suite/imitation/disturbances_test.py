@@ -66,6 +66,8 @@ def test_draws_within_ranges_and_share() -> None:
       assert low - 1e-12 <= values.min() and values.max() <= high + 1e-12
       slack = 0.01 * (high - low)
       assert np.ptp(values) >= high - low - slack
+  some = disturbances.draw(ranges, 1.0, 4000, random_state, fraction=0.25)
+  assert np.mean(some['friction'] != 0.9) == pytest.approx(0.25, abs=0.03)
   assert disturbances.NOMINAL.active == ()
   before = random_state.get_state(legacy=False)
   disturbances.draw(disturbances.NOMINAL, 1.0, 9, random_state)

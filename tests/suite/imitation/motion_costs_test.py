@@ -17,6 +17,7 @@ _QUIET: dict[str, Any] = {
   'sole_velocity': np.zeros((1, 2)),
   'width': np.array([0.18]),
   'steady': np.array([False]),
+  'grounded': np.array([True]),
   'straight': np.array([False]),
 }
 
@@ -34,6 +35,14 @@ def _actions(*values: float) -> np.ndarray:
     ('action_acceleration', {'actions': _actions(0.3, 0.2, 0.1)}, 0.0),
     # 1.5 m/s faster than 0.5 m/s, on the ground; one foot rises.
     ('touch_down', {'sole_velocity': np.array([[-2.0, 3.0]])}, 2.25),
+    (
+      'touch_down',
+      {
+        'sole_velocity': np.array([[-2.0, 0.0]]),
+        'grounded': np.array([False]),
+      },
+      0.0,
+    ),
     (
       'touch_down',
       {
