@@ -32,7 +32,7 @@ OUT := out
 SCHEDULE := walk_forward:2.4,leap_forward:2.4,launch:2,leap_forward:2.4,idle:2
 
 # What `make retrain` trains, one after the other.
-EXPERIMENTS ?= pi2 pi2_uniform pi1 pi1_uniform pi3 pi_all pi2_one_hot \
+EXPERIMENTS ?= pi2 pi2_paper pi2_uniform pi1 pi1_uniform pi3 pi_all pi2_one_hot \
   unimodal_idle unimodal_walk unimodal_leap unimodal_launch
 
 # The pinned build is the CPU one where the index offers it.

@@ -38,6 +38,7 @@ RENAMED = {
   'ppo_quiet_start': 'ppo_deterministic_fraction=0:SHARE@START',
   'ppo_quiet_steps': 'ppo_deterministic_steps',
   'ppo_anchor_weight': 'ppo_kickstarting_weight',
+  'sampling_adaptive': 'sampling_kind=uniform for false',
   'sampling_gait_steps': 'sampling_gait_fraction=0.7:0@STEPS',
   'sampling_gait_share': 'sampling_gait_fraction=SHARE:0@STEPS',
   'sampling_focus_start': 'sampling_focus_fraction=0:SHARE@START',

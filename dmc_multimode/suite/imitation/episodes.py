@@ -211,7 +211,9 @@ class TransitionEpisodes:
 
   def update(self, outcomes: Outcomes) -> None:
     """See `EpisodeInitialiser`."""
-    self.sampler.update(outcomes.initial, outcomes.final, outcomes.returns)
+    self.sampler.update(
+      outcomes.initial, outcomes.final, outcomes.returns, outcomes.causes > 0
+    )
 
   def probabilities(self) -> dict[str, float]:
     """Returns Algorithm 1's p_i by mode and p_f by transition."""

@@ -11,7 +11,13 @@ p_f(. | m_i). After it, with its normalised return R,
                       K <- K + epsilon;  p <- K / sum K
 
 so that modes and transitions with poor returns are practised more. The baseline
-draws uniformly.
+draws uniformly. A third sampler counts failures: the probability of a pair is
+in proportion to an upper confidence bound of the share of its episodes that
+terminate early,
+
+    u = p + sqrt(p (1 - p) / (n + 2)),   p = (failures + 1) / (n + 2),
+
+with n and the failures of about its last 100 episodes.
 """
 
 from typing import Annotated, Any, Mapping
@@ -23,6 +29,8 @@ from dmc_multimode.suite.imitation import disturbances
 from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import schedule
 
+KINDS = ADAPTIVE, FAILURES, UNIFORM = 'adaptive', 'failures', 'uniform'
+_FAILURE_MEMORY = 0.99  # Of the counts of a pair, at each of its episodes.
 _Memory = Annotated[float, pydantic.Field(ge=0, lt=1)]
 
 
@@ -31,7 +39,8 @@ class SamplingConfig:
   """Parameters of Algorithm 1, and of the preferences that override it.
 
   Attributes:
-    adaptive: samples poor modes and transitions more often; uniform otherwise.
+    kind: 'adaptive' is Algorithm 1, 'failures' counts failures, 'uniform' draws
+      all modes and transitions alike.
     gamma_initial: memory gamma_i of the modes' returns, in [0, 1).
     gamma_final: memory gamma_f of the transitions' returns, in [0, 1).
     epsilon: offset that keeps the best mode in the draw.
@@ -49,7 +58,7 @@ class SamplingConfig:
       to five commands; a schedule.
   """
 
-  adaptive: bool = True
+  kind: Annotated[str, config_lib.one_of(KINDS)] = ADAPTIVE
   gamma_initial: _Memory = 0.8
   gamma_final: _Memory = 0.8
   epsilon: config_lib.NonNegative = 0.2
@@ -84,9 +93,11 @@ class SamplingConfig:
 
 def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
   """Returns an earlier version's JSON with this version's keys."""
-  if 'gait_fraction' in values:
-    return dict(values)
   new = dict(values)
+  if 'adaptive' in new:
+    new['kind'] = ADAPTIVE if new.pop('adaptive') else UNIFORM
+  if 'gait_fraction' in new:
+    return new
   share, end = new.pop('gait_share', 0.7), new.pop('gait_steps', 0)
   new['gait_fraction'] = (
     {'first': share, 'last': 0.0, 'start': end, 'end': end} if end else 0.0
@@ -124,27 +135,46 @@ def returns_to_probabilities(returns: np.ndarray, epsilon: float) -> np.ndarray:
 
 
 class ModeSampler:
-  """Draws pairs (m_i, m_f); adapts to the returns of their episodes."""
+  """Draws pairs (m_i, m_f); adapts to their episodes.
+
+  Attributes:
+    initial_returns, final_returns: R_i [n] and R_f [n, n] of Algorithm 1.
+    counts: episodes of each pair, and those of them that failed, [2, n, n]; of
+      late alone.
+  """
 
   def __init__(self, num_modes: int, config: SamplingConfig):
-    """Starts with all returns at 0, as Algorithm 1 does."""
+    """Starts with all returns at 0, as Algorithm 1 does, and no episodes."""
     self._config = config
-    self.initial_returns = np.zeros(num_modes)  # R_i
-    self.final_returns = np.zeros((num_modes, num_modes))  # R_f
+    self.initial_returns = np.zeros(num_modes)
+    self.final_returns = np.zeros((num_modes, num_modes))
+    self.counts = np.zeros((2, num_modes, num_modes))
 
   @property
   def initial_probabilities(self) -> np.ndarray:
     """Probabilities p_i of the initial modes, [n]."""
-    if not self._config.adaptive:
-      return np.full_like(self.initial_returns, 1 / len(self.initial_returns))
-    return returns_to_probabilities(self.initial_returns, self._config.epsilon)
+    if self._config.kind == ADAPTIVE:
+      return returns_to_probabilities(
+        self.initial_returns, self._config.epsilon
+      )
+    weights = self._weights().sum(axis=1)
+    return weights / weights.sum()
 
   @property
   def final_probabilities(self) -> np.ndarray:
     """Probabilities p_f, a row of final modes for each initial one, [n, n]."""
-    if not self._config.adaptive:
-      return np.full_like(self.final_returns, 1 / len(self.initial_returns))
-    return returns_to_probabilities(self.final_returns, self._config.epsilon)
+    if self._config.kind == ADAPTIVE:
+      return returns_to_probabilities(self.final_returns, self._config.epsilon)
+    weights = self._weights()
+    return weights / weights.sum(axis=1, keepdims=True)
+
+  def _weights(self) -> np.ndarray:
+    """Returns what the probabilities of pairs are in proportion to, [n, n]."""
+    episodes, failures = self.counts
+    if self._config.kind == UNIFORM:
+      return np.ones_like(episodes)
+    share = (failures + 1) / (episodes + 2)
+    return share + np.sqrt(share * (1 - share) / (episodes + 2))
 
   def sample(
     self, count: int, random_state: np.random.RandomState
@@ -162,24 +192,39 @@ class ModeSampler:
     return _draw(self.final_probabilities[initial], random_state)
 
   def update(
-    self, initial: np.ndarray, final: np.ndarray, returns: np.ndarray
+    self,
+    initial: np.ndarray,
+    final: np.ndarray,
+    returns: np.ndarray,
+    failed: np.ndarray,
   ) -> None:
-    """Adds finished episodes, one after the other: R <- gamma R + return."""
+    """Adds N finished episodes, one after the other: R <- gamma R + return.
+
+    Args:
+      initial, final: their modes, [N].
+      returns: normalised, [N].
+      failed: whether they terminated early, [N].
+    """
     gamma_i, gamma_f = self._config.gamma_initial, self._config.gamma_final
-    for i, f, value in zip(initial, final, returns, strict=True):
+    for i, f, value, fell in zip(initial, final, returns, failed, strict=True):
       self.initial_returns[i] = gamma_i * self.initial_returns[i] + value
       self.final_returns[i, f] = gamma_f * self.final_returns[i, f] + value
+      self.counts[:, i, f] *= _FAILURE_MEMORY
+      self.counts[:, i, f] += 1, fell
 
   def state(self) -> dict[str, np.ndarray]:
     """Returns copies of the state for `restore`."""
     return {
       'initial_returns': self.initial_returns.copy(),
       'final_returns': self.final_returns.copy(),
+      'counts': self.counts.copy(),
     }
 
   def restore(self, state: Mapping[str, Any]) -> None:
     """Restores a `state`; raises ValueError for another number of modes."""
-    for name in ('initial_returns', 'final_returns'):
+    for name in ('initial_returns', 'final_returns', 'counts'):
+      if name not in state:  # Earlier versions did not count.
+        continue
       value, mine = np.asarray(state[name]), getattr(self, name)
       if value.shape != mine.shape:
         raise ValueError(

@@ -48,16 +48,52 @@ def test_poorer_is_likelier(returns: np.ndarray, epsilon: float) -> None:
   assert np.all(np.diff(in_order) <= 1e-12)
 
 
+def _update(
+  sampler: mode_sampler.ModeSampler,
+  initial: np.ndarray,
+  final: np.ndarray,
+  returns: np.ndarray,
+) -> None:
+  sampler.update(initial, final, returns, np.zeros(len(initial), dtype=bool))
+
+
+def test_failures_are_practised() -> None:
+  sampler = mode_sampler.ModeSampler(
+    2, mode_sampler.SamplingConfig(kind='failures')
+  )
+  np.testing.assert_allclose(sampler.initial_probabilities, [0.5, 0.5])
+  failed = np.array([True, False, False])
+  sampler.update(
+    np.array([0, 0, 1]), np.array([1, 0, 0]), np.full(3, 0.5), failed
+  )
+  assert sampler.counts[0].tolist() == [[1, 1], [1, 0]]
+  assert sampler.counts[1].tolist() == [[0, 1], [0, 0]]
+  # (0 + 1) / (1 + 2), (1 + 1) / (1 + 2) and, of no episode, 1 / 2.
+  bound = lambda share, count: share + np.sqrt(share * (1 - share) / count)
+  weights = np.array(
+    [[bound(1 / 3, 3), bound(2 / 3, 3)], [bound(1 / 3, 3), bound(1 / 2, 2)]]
+  )
+  np.testing.assert_allclose(
+    sampler.initial_probabilities, weights.sum(axis=1) / weights.sum()
+  )
+  np.testing.assert_allclose(
+    sampler.final_probabilities, weights / weights.sum(axis=1)[:, None]
+  )
+  one = np.array([0])
+  sampler.update(one, one + 1, np.zeros(1), np.array([False]))
+  np.testing.assert_allclose(sampler.counts[:, 0, 1], [1.99, 0.99])
+
+
 def test_update_by_hand() -> None:
   config = mode_sampler.SamplingConfig(gamma_initial=0.5, gamma_final=0.25)
   sampler = mode_sampler.ModeSampler(2, config)
   np.testing.assert_allclose(sampler.initial_probabilities, np.full(2, 0.5))
   np.testing.assert_allclose(sampler.final_probabilities, np.full((2, 2), 0.5))
-  sampler.update(np.array([0, 0]), np.array([1, 0]), np.array([1.0, 2.0]))
+  _update(sampler, np.array([0, 0]), np.array([1, 0]), np.array([1.0, 2.0]))
   # One after the other: 0.5 (0.5 x 0 + 1) + 2.
   np.testing.assert_allclose(sampler.initial_returns, [2.5, 0.0])
   np.testing.assert_allclose(sampler.final_returns, [[2.0, 1.0], [0.0, 0.0]])
-  sampler.update(np.array([0]), np.array([1]), np.array([4.0]))
+  _update(sampler, np.array([0]), np.array([1]), np.array([4.0]))
   np.testing.assert_allclose(sampler.initial_returns, [5.25, 0.0])
   np.testing.assert_allclose(sampler.final_returns, [[2.0, 4.25], [0.0, 0.0]])
   # Rows of p_f belong to initial modes: (2, 4.25) -> (1, 0) + 0.2.
@@ -66,9 +102,9 @@ def test_update_by_hand() -> None:
   )
   # The uniform baseline learns nothing.
   baseline = mode_sampler.ModeSampler(
-    2, mode_sampler.SamplingConfig(adaptive=False)
+    2, mode_sampler.SamplingConfig(kind='uniform')
   )
-  baseline.update(np.array([0]), np.array([1]), np.array([5.0]))
+  _update(baseline, np.array([0]), np.array([1]), np.array([5.0]))
   np.testing.assert_allclose(baseline.initial_probabilities, np.full(2, 0.5))
   np.testing.assert_allclose(baseline.final_probabilities, np.full((2, 2), 0.5))
 
@@ -94,14 +130,14 @@ def test_frequencies() -> None:
 def test_state_round_trip() -> None:
   config = mode_sampler.SamplingConfig()
   one, other = (mode_sampler.ModeSampler(3, config) for _ in range(2))
-  one.update(np.array([0, 2]), np.array([1, 1]), np.array([0.3, 0.9]))
+  _update(one, np.array([0, 2]), np.array([1, 1]), np.array([0.3, 0.9]))
   state = one.state()
   other.restore(state)
-  one.update(np.array([1]), np.array([1]), np.array([0.5]))
+  _update(one, np.array([1]), np.array([1]), np.array([0.5]))
   # The state is a copy, and the two go their own ways.
   np.testing.assert_array_equal(state['initial_returns'], [0.3, 0.0, 0.9])
   np.testing.assert_array_equal(other.initial_returns, [0.3, 0.0, 0.9])
-  other.update(np.array([1]), np.array([1]), np.array([0.5]))
+  _update(other, np.array([1]), np.array([1]), np.array([0.5]))
   np.testing.assert_array_equal(other.final_returns, one.final_returns)
   with pytest.raises(ValueError, match='another mode set'):
     mode_sampler.ModeSampler(4, config).restore(state)
