@@ -69,6 +69,55 @@ class ModeSet:
     return ModeSet(motions, self.codebook.subset(names))
 
 
+def with_blends(mode_set: ModeSet, names: Sequence[str]) -> ModeSet:
+  """Returns a mode set with the blends that `names` has besides.
+
+  A blend such as 'walk_forward*0.5+idle*0.5' is the weighted mean of modes: of
+  their references and of their latents. Weights sum to 1.
+
+  Args:
+    mode_set: the modes that there are.
+    names: of modes, or blends.
+
+  Raises:
+    ValueError: a blend is malformed, has unknown modes, or modes that cannot be
+      blended.
+  """
+  motions, latents = list(mode_set.motions), list(mode_set.latents)
+  for name in dict.fromkeys(names):
+    if not {'*', '+'} & set(name):
+      continue
+    weights = _parse_blend(name)
+    rows = [mode_set.index(part) for part in weights]
+    shares = np.array(list(weights.values()))
+    parts = [mode_set.motions[row] for row in rows]
+    motions.append(motion_lib.blend(parts, shares, name))
+    latents.append((shares @ mode_set.latents[rows]).astype(np.float32))
+  if len(motions) == len(mode_set):
+    return mode_set
+  known = tuple(motion.name for motion in motions)
+  codebook = codebook_lib.Codebook(known, np.stack(latents))
+  return ModeSet(tuple(motions), codebook)
+
+
+def _parse_blend(text: str) -> dict[str, float]:
+  """Returns the weights by mode of a blend; see `with_blends`."""
+  weights: dict[str, float] = {}
+  for item in text.split('+'):
+    name, _, weight = item.strip().partition('*')
+    try:
+      weights[name.strip()] = float(weight)
+    except ValueError:
+      weights[name.strip()] = float('nan')
+  values = np.array(list(weights.values()))
+  if not (np.all(values > 0) and abs(values.sum() - 1) < 1e-6):
+    raise ValueError(
+      f'{text!r} is no blend: write MODE*WEIGHT+MODE*WEIGHT with positive '
+      'weights of sum 1, as in walk_forward*0.5+idle*0.5.'
+    )
+  return weights
+
+
 def one_hot(motions: Sequence[motion_lib.ReferenceMotion]) -> ModeSet:
   """Returns a mode set with one-hot latents, the baseline: n_m = M."""
   names = tuple(motion.name for motion in motions)

@@ -207,6 +207,61 @@ def check_names(motions: Sequence[ReferenceMotion]) -> None:
     raise ValueError(f'Mode names must be unique, got {names}.')
 
 
+def blend(
+  motions: Sequence[ReferenceMotion], weights: Sequence[float], name: str
+) -> ReferenceMotion:
+  """Returns the weighted mean of motions, which is a motion.
+
+  Steady motions, which have no cycle of their own, take part with their pose.
+
+  Args:
+    motions: at least one of them periodic, or all steady.
+    weights: of the motions, of sum 1.
+    name: of the blend.
+
+  Raises:
+    ValueError: a motion is transient, or two cycles have another duration or
+      other contacts.
+  """
+  cycles = [motion for motion in motions if motion.kind != STEADY] or motions
+  first = cycles[0]
+  for motion in cycles:
+    if motion.kind == TRANSIENT:
+      raise ValueError(f'{name}: {motion.name} has no cycle to blend.')
+    if motion.duration != first.duration:
+      raise ValueError(
+        f'{name}: cycles of {first.duration:g} s ({first.name}) and '
+        f'{motion.duration:g} s ({motion.name}) cannot be blended.'
+      )
+  phases = np.unique(np.concatenate([motion.phases for motion in cycles]))
+  held = [_contacts_at(motion, phases) for motion in cycles]
+  if any(not np.array_equal(other, held[0]) for other in held):
+    raise ValueError(f'{name}: cycles with other contacts cannot be blended.')
+  positions, orientations = np.zeros((len(phases), 3)), np.zeros(4)
+  for motion, weight in zip(motions, weights, strict=True):
+    columns = np.hstack([motion.positions, motion.orientations]).T
+    at = [np.interp(phases, motion.phases, column) for column in columns]
+    positions = positions + weight * np.stack(at[:3], axis=1)
+    orientations = orientations + weight * np.stack(at[3:], axis=1)
+  return ReferenceMotion(
+    name,
+    first.kind,
+    first.duration,
+    phases,
+    positions,
+    orientations,
+    held[0] if first.contacts is not None else None,
+  )
+
+
+def _contacts_at(motion: ReferenceMotion, phases: np.ndarray) -> np.ndarray:
+  """Returns the contacts at phases, [K, 2]; empty for none."""
+  if motion.contacts is None:
+    return np.zeros((len(phases), 0))
+  rows = np.searchsorted(motion.phases, phases, side='right') - 1
+  return motion.contacts[rows]
+
+
 def angle_between(one: np.ndarray, other: np.ndarray) -> float:
   """Returns the angle between two unit quaternions [4], radians."""
   return float(2 * np.arccos(np.minimum(np.abs(one @ other), 1.0)))

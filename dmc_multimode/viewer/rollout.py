@@ -10,6 +10,7 @@ import pydantic
 
 from dmc_multimode import pretrained
 from dmc_multimode.arenas import track
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.suite import multimode_biped
@@ -184,7 +185,8 @@ class RolloutConfig:
   """A schedule on a track, and the conditions of its roll-out.
 
   Attributes:
-    modes: names of the commanded modes.
+    modes: names of the commanded modes, or blends of them; see
+      `mode_set.with_blends`.
     durations: of the commands, seconds.
     arena: name of a track.
     sizes: of the track, metres, where they are not its defaults.
@@ -219,13 +221,14 @@ class Rollout:
       ValueError: the schedule, the arena or a number is invalid, or the policy
         does not know a mode.
     """
+    mode_set = mode_set_lib.with_blends(policy.mode_set, config.modes)
     self.schedule = schedule_lib.from_names(
-      policy.mode_set, config.modes, config.durations, config.clock_rate
+      mode_set, config.modes, config.durations, config.clock_rate
     )
     task = _task_config(policy.config, config)
     self._config = config
     self.task = multimode_biped.make_task(
-      policy.mode_set,
+      mode_set,
       episodes=episodes.ScheduledEpisodes(self.schedule),
       arena=_make_arena(config),
       config=task,

@@ -37,3 +37,46 @@ def test_codebook_of_other_modes() -> None:
     mode_set.one_hot([])
   with pytest.raises(ValueError, match='must be unique'):
     mode_set.one_hot(motions[:1] * 2)
+
+
+def test_blends_by_hand() -> None:
+  pi1 = library.mode_set('pi1')
+  names = [
+    'walk_forward*0.5+idle*0.5',
+    'walk_forward*0.7+walk_left*0.3',
+    'idle',
+  ]
+  blended = mode_set.with_blends(pi1, [*names, 'idle'])
+  assert blended.names == (*pi1.names, *names)
+  # Of 0.36 m a cycle: half of the way, or 0.7 of it ahead and 0.3 of it aside.
+  bank, rows = blended.bank, [-2, -1]
+  np.testing.assert_allclose(
+    bank.displacements[rows], [[0.18, 0, 0], [0.252, 0.054, 0]], atol=1e-12
+  )
+  np.testing.assert_array_equal(bank.durations[rows], [0.6, 0.6])
+  assert bank.gaits[rows].all()
+  for half in (0.25, 0.75):  # The same feet swing.
+    walk = bank.sample(np.array([pi1.index('walk_forward')]), np.array([half]))
+    both = bank.sample(np.array([len(pi1)]), np.array([half]))
+    np.testing.assert_array_equal(both.contact, walk.contact)
+  idle, walk = (
+    pi1.latents[pi1.index(name)] for name in ('idle', 'walk_forward')
+  )
+  np.testing.assert_allclose(blended.latents[-2], (idle + walk) / 2, rtol=1e-6)
+  assert mode_set.with_blends(pi1, ['idle']) is pi1
+
+
+@pytest.mark.parametrize(
+  ('name', 'message'),
+  [
+    ('walk_forward*0.5', 'positive weights of sum 1'),
+    ('walk_forward*-0.5+idle*1.5', 'positive weights of sum 1'),
+    ('walk_forward*half+idle*0.5', 'positive weights of sum 1'),
+    ('fly*0.5+idle*0.5', "Unknown mode 'fly'"),
+    ('walk_forward*0.5+leap_forward*0.5', 'cannot be blended'),
+    ('launch*0.5+idle*0.5', 'launch has no cycle'),
+  ],
+)
+def test_blends_that_are_none(name: str, message: str) -> None:
+  with pytest.raises(ValueError, match=message):
+    mode_set.with_blends(library.mode_set('pi_all'), [name])

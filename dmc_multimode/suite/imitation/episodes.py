@@ -197,8 +197,8 @@ class TransitionEpisodes:
       transient = self._mode_set.bank.transient
       drawn = random_state.uniform(size=len(rates)) < share
       drawn &= ~(transient[initial] | transient[final])
-      logs = random_state.uniform(*np.log([low, high]), size=len(rates))
-      rates = np.where(drawn, np.exp(logs), rates)
+      uniform = random_state.uniform(low, high, size=len(rates))
+      rates = np.where(drawn, uniform, rates)
     return rates
 
   def _preferences(self, steps: int) -> tuple[tuple[np.ndarray, float], ...]:
