@@ -86,6 +86,7 @@ class ReferenceBank:
     self._spans = _contact_spans(phases, contacts).reshape(2, -1)
     self._landings = _next_touch_downs(phases, contacts).ravel()
     airborne = self.has_contacts[:, None] & ~contacts.any(axis=-1)
+    airborne &= np.isfinite(phases)  # Spare rows have no contacts.
     self._airborne = airborne.ravel()
     self._flights = _next_flights(airborne).ravel()
     # Modes that step with one foot at a time.

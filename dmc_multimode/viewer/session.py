@@ -12,6 +12,7 @@ import numpy as np
 
 from dmc_multimode import pretrained
 from dmc_multimode.arenas import track
+from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import plan as plan_lib
@@ -27,6 +28,7 @@ from dmc_multimode.viewer import rollout
 
 CLOCK_RATES = (0.5, 3.0)  # The slowest and the fastest.
 PUSH_SPEEDS = (0.0, 3.0)  # m/s.
+SPEED_STEP = 0.1  # Of the share of a gait's speed that is commanded.
 _SEGMENTS = 32  # Segments of a track: bounds the number of ledges.
 _LIE = 1.2  # Seconds from a fall to the reset.
 _FALLEN = terminations.CAUSES[terminations.BASE_HEIGHT]
@@ -110,6 +112,7 @@ class LiveSession:
     arena: name of the track.
     seed: of the track, if it is random, and of the initial state's noise.
     clock_rate: of the modes, 1 being their own.
+    speed: share of the speed of gaits, by a blend with the mode of rest.
     notice: see `LiveState`.
   """
 
@@ -137,6 +140,9 @@ class LiveSession:
     """
     self._policy, self._planner = policy, planner or beam_search.BeamConfig()
     self._mode_set, self._threads = policy.mode_set, threads
+    self._slower = _slower_gaits(policy.mode_set)
+    self._gait_of = {blend: gait for (gait, _), blend in self._slower.items()}
+    self.speed = 1.0
     self._search: PlanSearch | None = None
     self._disturbed = disturbed
     self.clock_rate = 1.0
@@ -156,7 +162,7 @@ class LiveSession:
     if seed < 0:
       raise ValueError(f'seed must not be negative, got {seed}.')
     task = multimode_biped.make_task(
-      self._mode_set,
+      mode_set_lib.with_blends(self._mode_set, [*self._gait_of]),
       # The same initial state as in a search.
       episodes.ScheduledEpisodes(schedule_lib.single(np.zeros(1))),
       track.make(name, _SEGMENTS),
@@ -197,7 +203,10 @@ class LiveSession:
     """
     index = self._mode_set.index(mode)
     self._replayed, self.notice = None, ''
-    if self._mode_set.motions[index].ledge and self.clock_rate != 1:
+    slower = self._slower.get((mode, round(self.speed, 2)))
+    if slower:
+      index = self.robot.task.mode_set.index(slower)
+    if self.robot.task.mode_set.motions[index].ledge and self.clock_rate != 1:
       self.set_clock_rate(1.0)
       self.notice = f'{mode} keeps its own clock rate.'
     self.robot.command(index)
@@ -212,6 +221,24 @@ class LiveSession:
     if not np.hypot(x, y) <= PUSH_SPEEDS[1]:
       raise ValueError(f'A push adds at most {PUSH_SPEEDS[1]} m/s.')
     self.robot.push((x, y, 0.0))
+
+  def set_speed(self, speed: float) -> None:
+    """Sets the share of their speed with which gaits run from now on.
+
+    Raises:
+      ValueError: the share is not one of 0.1, 0.2, ... 1.
+    """
+    steps = speed / SPEED_STEP
+    if not (0.5 < steps < 10.5 and abs(steps - round(steps)) < 1e-6):
+      raise ValueError(f'A speed is one of 0.1, 0.2, ... 1, got {speed}.')
+    self.speed = round(steps) * SPEED_STEP
+    mode = self._base(self.robot.task.mode)
+    if (mode, SPEED_STEP) in self._slower:
+      self.command(mode)
+
+  def _base(self, mode: str) -> str:
+    """Returns the mode of the policy that a mode of the task is or blends."""
+    return self._gait_of.get(mode, mode)
 
   def set_clock_rate(self, rate: float) -> None:
     """Sets the rate at which the modes run from now on.
@@ -268,7 +295,7 @@ class LiveSession:
     if self._lying or self._last.cause in (_FALLEN, _INVALID):
       self._lie()
     return LiveState(
-      self._last,
+      self._last._replace(mode=self._base(self._last.mode)),
       self._lying > 0,
       self.notice,
       self._search.status if self._search else None,
@@ -322,3 +349,20 @@ class LiveSession:
       self.robot.command(plan_lib.rest_mode(self._mode_set))
     elif not rest:
       self.robot.command(self._mode_set.index(self._replayed.modes[knot]))
+
+
+def _slower_gaits(
+  mode_set: mode_set_lib.ModeSet,
+) -> dict[tuple[str, float], str]:
+  """Returns the blends of gaits with the mode of rest, by gait and speed."""
+  rest = plan_lib.rest_mode(mode_set)
+  if not mode_set.bank.steady[rest]:
+    return {}
+  name = mode_set.names[rest]
+  speeds = [round(SPEED_STEP * i, 2) for i in range(1, 10)]
+  return {
+    (gait, speed): f'{gait}*{speed:g}+{name}*{1 - speed:g}'
+    for gait, level in zip(mode_set.names, mode_set.bank.level, strict=True)
+    if level
+    for speed in speeds
+  }

@@ -118,7 +118,7 @@ class Page:
     command.on_trigger(lambda _: self._ask(request))
 
   def _add_modes(self) -> None:
-    """Adds a button and a digit for every mode, and the clock rate."""
+    """Adds a button and a digit for every mode, clock rate and speed."""
     gui, session = self._server.gui, self._session
     self._modes = {}
     for i, mode in enumerate(session.modes):
@@ -137,6 +137,17 @@ class Page:
     )
     self._rate.on_update(
       self._by_hand(lambda: session.set_clock_rate(self._rate.value))
+    )
+
+    self._share = gui.add_slider(
+      'speed of gaits',
+      min=session_lib.SPEED_STEP,
+      max=1.0,
+      step=session_lib.SPEED_STEP,
+      initial_value=session.speed,
+    )
+    self._share.on_update(
+      self._by_hand(lambda: session.set_speed(self._share.value))
     )
 
   def _add_group(

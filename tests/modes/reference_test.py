@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dmc_multimode.modes import library
 from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes import reference
 
@@ -280,3 +281,23 @@ def test_gaits() -> None:
   ]
   bank = reference.ReferenceBank(motions)
   np.testing.assert_array_equal(bank.gaits, [True, False, False, False, False])
+
+
+@pytest.mark.parametrize('modes', ['walk_forward', 'pi_all'])
+def test_kinds_of_modes_do_not_depend_on_the_set(modes: str) -> None:
+  bank = library.mode_set(modes).bank  # Of modes with 2 to 7 keyframes.
+  found = {
+    name: (level, flies)
+    for name, level, flies in zip(
+      bank.names, bank.level, bank.flies, strict=True
+    )
+  }
+  expected = {
+    'walk_forward': (True, False),
+    'leap_forward': (False, True),
+    'hop_forward': (False, True),
+    'launch': (False, False),
+    'turn_left': (False, False),
+  }
+  for name in expected.keys() & found.keys():
+    assert found[name] == expected[name], name

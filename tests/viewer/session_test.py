@@ -161,6 +161,25 @@ def test_a_climbing_mode_keeps_its_clock_rate(
   assert session.robot.task.core.tracker.state.clock_rate[0] == 1.0
 
 
+def test_speed_of_gaits(session: session_lib.LiveSession) -> None:
+  session.set_arena('flat')
+  session.set_speed(0.5)
+  session.command('walk_forward')
+  state = session.step()
+  assert state.step.mode == 'walk_forward'
+  task = session.robot.task
+  assert task.mode == 'walk_forward*0.5+idle*0.5'
+  bank, running = task.mode_set.bank, task.core.tracker.state.mode
+  np.testing.assert_allclose(bank.displacements[running, 0], 0.18)
+  session.set_speed(1.0)
+  session.step()
+  assert task.mode == 'walk_forward'
+  session.command('leap_forward')  # It has no slower one.
+  session.set_speed(0.3)
+  assert _run(session, 3.0, lambda s: s.step.mode == 'leap_forward')
+  session.set_speed(1.0)
+
+
 def test_disturbances_are_the_robots() -> None:
   session = session_lib.LiveSession(
     pretrained.load('pi2'),
@@ -179,6 +198,7 @@ def test_bad_input(session: session_lib.LiveSession) -> None:
     (lambda: session.command('fly'), "Unknown mode 'fly'"),
     (lambda: session.push((3.0, 1.0)), 'at most 3'),
     (lambda: session.set_clock_rate(np.nan), 'within 0.5 and 3'),
+    (lambda: session.set_speed(0.55), 'one of 0.1, 0.2, ... 1'),
     (lambda: session.set_arena('moat'), "Unknown arena 'moat'"),
     (lambda: session.set_arena('flat', -1), 'seed must not be negative'),
   ):
