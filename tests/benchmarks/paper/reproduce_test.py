@@ -17,11 +17,11 @@ def test_every_shipped_policy_is_evaluated() -> None:
   assert '--episodes=2' in parts['pi2'].words.split()
   assert parts['planning'].needs == {'pi2'}
   assert parts['switching'].needs == {
-    'pi2',
+    'pi2_paper',
     'unimodal_walk',
     'unimodal_launch',
   }
-  assert parts['curves_pi2'].needs == {'pi2', 'pi2_uniform'}
+  assert parts['curves_pi2_paper'].needs == {'pi2_paper', 'pi2_uniform'}
 
 
 def test_runs_leave_a_log(tmp_path: pathlib.Path) -> None:
