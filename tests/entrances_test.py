@@ -157,7 +157,7 @@ def test_commands_refused(modes: Any) -> None:
 
 @pytest.mark.parametrize('which', ['policy', 'actor', 'batched'])
 def test_observations(which: str) -> None:
-  policy = pretrained.load('pi2')
+  policy = pretrained.load('pi2_paper')
   size, more = 37, policy.network.privileged_size
   select: Step = {
     'policy': policy.select_action,

@@ -230,10 +230,12 @@ class ReachingProblem:
     Args:
       modes: index of the mode that each world commands, [B].
     """
+    self._observation = self._worlds.command(np.asarray(modes))
     if self._knot in self._pushes:
       self._worlds.qvel[:, :3] += self._pushes[self._knot]
+      # Commanding the running modes only renews the observation.
+      self._observation = self._worlds.command(np.asarray(modes))
     self._knot += 1
-    self._observation = self._worlds.command(np.asarray(modes))
     reward, path = np.zeros(self.num_worlds), []
     for _ in range(self.knot_steps):
       path.append(self._step())

@@ -138,10 +138,11 @@ def record(
     OSError: there is no OpenGL, or the video cannot be written.
   """
   path = video.check_path(out)
-  known = _mode_set(policy)
   if schedule is not None and plan is None:
     what = _scheduled(schedule, arena, seed)
+    known = _mode_set(policy)
   elif plan is not None and schedule is None:
+    known = _mode_set(policy)
     what = _planned(plan, known)
   else:
     raise ValueError('Say what to record: a schedule or a plan.')

@@ -13,18 +13,18 @@ def test_figure() -> None:
   found = plan_lib.PlanResult(
     plan_lib.ModePlan(('walk', 'walk', 'leap'), 0.1),
     plan_lib.Course('gap', pushes=(push,)),
-    *((2.0, 0.0, 0.5), True, 1.0, path, 0.1, 1, 1),
+    *((2.0, 0.0, 0.5), True, 1.0, path, 0.6, 0.02, 0.1, 1, 1),
   )
   modes, side, height = plan_figures.draw(found).axes
   np.testing.assert_allclose(
     np.array(modes.lines[0].get_data()),
     np.array([[0, 0.1, 0.2, 0.3], [0, 0, 1, 1]]),
   )
-  np.testing.assert_array_equal(modes.lines[1].get_xdata(), 0.2)  # The push.
+  np.testing.assert_array_equal(modes.lines[-1].get_xdata(), 0.2)  # The push.
   labels = [label.get_text() for label in modes.get_yticklabels()]
   assert labels == ['walk', 'leap']
   times, heights = np.array(height.lines[0].get_data())
-  np.testing.assert_allclose(times, 0.05 * np.arange(1, 7))
+  np.testing.assert_allclose(times, 0.1 * np.arange(1, 7))
   np.testing.assert_array_equal(heights, path[:, 2])
   np.testing.assert_array_equal(side.lines[0].get_data(), path[:, [0, 2]].T)
   assert len(side.collections) == 2  # Both sides of the gap.

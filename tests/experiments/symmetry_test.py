@@ -101,6 +101,7 @@ class _Mirrored:
     commanded[images] = self.image.mirrored_modes[commanded[ones]]
     environment.core.contact[images] = environment.core.contact[ones][:, ::-1]
     shift = np.where(self.image.clock_signs < 0, 0.5, 0.0)
+    tracked.pace[:] = 1.0  # A ramp is not the same half a cycle later.
     tracked.phase[images] = (tracked.phase[ones] + shift) % 1.0
     reference = environment.core.tracker.reference().position
     tracked.anchor[images] += reference[ones] * (1, -1, 1) - reference[images]

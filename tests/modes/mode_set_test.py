@@ -44,7 +44,6 @@ def test_blends_by_hand() -> None:
   names = [
     'walk_forward*0.5+idle*0.5',
     'walk_forward*0.7+walk_left*0.3',
-    'idle',
   ]
   blended = mode_set.with_blends(pi1, [*names, 'idle'])
   assert blended.names == (*pi1.names, *names)

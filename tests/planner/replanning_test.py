@@ -26,7 +26,8 @@ _SHORT = reaching.ReachingConfig((0.4, 0.0, 0.5), 4, 0.3)
 
 @pytest.fixture(scope='module')
 def policy() -> pretrained.Policy:
-  return pretrained.load('quickstart')
+  # A policy that observes where it is off walks back by itself.
+  return pretrained.load('pi2_paper')
 
 
 def test_solve_by_names() -> None:
@@ -73,7 +74,7 @@ def test_a_plan_survives_pushes(policy: pretrained.Policy) -> None:
   reports: list[solver_lib.Status] = []
   found = replanning.follow(solver, _PUSHES, 2, reports.append)
   assert (lost.success, found.success) == (False, True)
-  assert lost.final_position[0] < 0.35 < found.final_position[0]
+  assert lost.final_position[0] < 0.45 < found.final_position[0]
   # Nobody knows of the pushes beforehand.
   assert found.plan.modes[:6] == lost.plan.modes[:6]
   assert found.plan.modes != lost.plan.modes

@@ -15,8 +15,8 @@ from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.planner import q_learning
 from dmc_multimode.planner import solver as solver_lib
 from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes
-from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.reaching import problem as reaching
 from tests.planner import replay
 
@@ -68,10 +68,7 @@ def _in_composer(
   policy: pretrained.Policy, found: plan_lib.PlanResult
 ) -> np.ndarray:
   """Returns the path of the plan in a Composer environment."""
-  config = dataclasses.replace(
-    dataclasses.replace(policy.config, events=events.NONE),
-    time_limit=found.plan.duration,
-  )
+  config = task_config.evaluated(policy.config, time_limit=found.plan.duration)
   task = multimode_biped.make_task(
     policy.mode_set,
     episodes.ScheduledEpisodes(found.plan.schedule(policy.mode_set)),
@@ -92,18 +89,18 @@ def _in_composer(
 @pytest.mark.slow
 @pytest.mark.parametrize('name', reaching.PROBLEMS)
 def test_pi2_crosses_the_papers_tracks(name: str) -> None:
-  """Table III, with the first and smallest of the beam's attempts."""
+  """Table III, with the first two of the beam's attempts."""
   solver = solver_lib.Solver(
     pretrained.load('pi2'),
     name,
     reaching.PROBLEMS[name].config(0),
-    beam_search.BeamConfig(attempts=1),
+    beam_search.BeamConfig(attempts=2),
   )
   found = solver.solve()
   assert found.success
   assert found.final_position[0] > 1.7
-  # A second on two idle cores, where the paper's takes three minutes.
-  assert found.control_steps <= 20_000
+  # Seconds on two idle cores, where the paper's takes three minutes.
+  assert found.control_steps <= 80_000
   assert found.solve_seconds > 0
 
 

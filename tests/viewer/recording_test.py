@@ -39,7 +39,7 @@ def test_record(tmp_path: pathlib.Path) -> None:
   first, second = made[0].outcomes
   assert (first.mode, first.cause, made[0].steps) == ('walk_forward', 'none', 6)
   assert str(second).startswith('idle: survived, mean speed')
-  assert [outcome.mode for outcome in made[2].outcomes] == ['idle']
+  assert [outcome.mode for outcome in made[2].outcomes] == ['idle', 'idle']
 
 
 @pytest.mark.gl

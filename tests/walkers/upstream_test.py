@@ -100,6 +100,9 @@ _OTHERS: dict[str, str] = {
   '*.UniformInitializerTest.test_ball*': 'of the game, not of its players',
   '*.MultiturnTaskTest.*': 'of the game, not of its players',
   'biped_*.CorridorsTest.test_walker_is*180*True*': 'it wants 6e-17 to be 0',
+  # It has the walker 10 m in the air, or in the ground: hard soles bounce off.
+  'biped_on_track.*.test_termination_and_discount*': 'it bounces back',
+  'biped.TaskTest.test_symmetric_observations*': '3000 m/s^2 to 1e-6',
 }
 
 # Of modules whose robots have an egocentric camera.

@@ -106,7 +106,6 @@ class ModeTracker:
     schedule: schedule_lib.ModeSchedule,
     phase: np.ndarray,
     support: np.ndarray,
-    pace: np.ndarray | float = 1.0,
   ) -> None:
     """Starts the worlds `ids` at the origin of their first modes.
 
@@ -115,8 +114,6 @@ class ModeTracker:
       schedule: of N worlds.
       phase: where in their first mode they start, [N].
       support: height of the support plane at the origin, metres, [N].
-      pace: share of the reference's speed at which a gait starts, [N]; of no
-        effect without `feasible_references`.
 
     Raises:
       ValueError: the schedule holds more commands than there is room for.
@@ -140,8 +137,19 @@ class ModeTracker:
     state.anchor[ids, 2] = support
     state.heading[ids] = 0.0
     state.pending[ids] = -1
-    state.pace[ids] = np.where(self._ramps[state.mode[ids]], pace, 1.0)
+    state.pace[ids] = 1.0
     self._forget_ledge(ids)
+
+  def match_pace(self, ids: np.ndarray, velocity: np.ndarray) -> None:
+    """Starts the gaits of `ids` with the robots' own speed.
+
+    Of no effect without `feasible_references`.
+
+    Args:
+      ids: worlds, [N].
+      velocity: of the trunks in the world, m/s, [N, 3].
+    """
+    self.state.pace[ids] = self._own_pace(ids, velocity)
 
   def check_rate(self, rate: float) -> None:
     """Raises ValueError if cycles are shorter than a control step at a rate.
@@ -325,7 +333,7 @@ class ModeTracker:
     state.phase[ids] = 0.0
     state.anchor[ids, :2] = position[:, :2]
     state.anchor[ids, 2] = support
-    state.pace[ids] = self._own_pace(ids, velocity)
+    self.match_pace(ids, velocity)
     self._forget_ledge(ids)
 
   def _own_pace(self, ids: np.ndarray, velocity: np.ndarray) -> np.ndarray:

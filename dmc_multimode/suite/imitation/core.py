@@ -134,9 +134,7 @@ class ImitationCore:
     phase = random_state.uniform(size=count) * on_reference
     self.terrain.write(ids, terrain)
     support = terrain_lib.support_height(terrain, np.zeros(count))
-    self.tracker.reset(
-      ids, episodes.schedule, phase, support, on_reference.astype(float)
-    )
+    self.tracker.reset(ids, episodes.schedule, phase, support)
     self.terrain_events.prepare(
       ids, episodes.initial, np.zeros(count), random_state
     )
@@ -149,6 +147,8 @@ class ImitationCore:
       on_reference,
       random_state,
     )
+    from_rest = ~on_reference
+    self.tracker.match_pace(ids[from_rest], qvel[from_rest, :3])
     self.actions[ids] = qpos[:, None, 7:]
     return qpos, qvel
 

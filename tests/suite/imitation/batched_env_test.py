@@ -37,7 +37,7 @@ _LAUNCH = _MODE_SET.index('launch')
 _TOLERANCE = 1e-9
 _FLOAT32 = 1e-6  # Of the float32 observations, of which many are about 1.
 _STEPS = 30
-_SIZE = 37 + 13  # The paper's observation of four modes, and the other terms.
+_SIZE = 37 + 29  # The paper's observation of four modes, and the other terms.
 _GAINS = rewards.RewardGains().with_weights(
   position=0.35, orientation=0.35, contact=0.3
 )

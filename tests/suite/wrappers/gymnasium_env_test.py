@@ -139,7 +139,7 @@ def test_nothing_is_done_after_close(count: int | None) -> None:
 # Buffers and axes that Composer environments can be asked for.
 @pytest.mark.parametrize(
   ('task', 'depth', 'size'),
-  [('walk_forward', 1, 37), ('walk_forward', 3, 41), ('reach_gap', 1, 71)],
+  [('walk_forward', 1, 37), ('walk_forward', 3, 41), ('reach_gap', 1, 84)],
 )
 def test_observation_has_the_declared_size(
   task: str, depth: int, size: int
