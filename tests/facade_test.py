@@ -19,7 +19,6 @@ from dmc_multimode.modes import library
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes as episodes_lib
-from dmc_multimode.suite.imitation import events
 from tests.bin import untrained
 
 _PACKAGES = [
@@ -114,9 +113,7 @@ def test_worlds_of_a_policy_are_those_it_is_evaluated_in(
     np.testing.assert_array_equal(
       worlds.mode_set.latents, policy.mode_set.latents
     )
-    assert worlds.config == dataclasses.replace(
-      policy.config, events=events.NONE
-    )
+    assert worlds.config == task_config.evaluated(policy.config)
     assert worlds.privileged_size
   mine = dmm.make_worlds(library.mode_set('idle'), 1)
   assert mine.mode_set.names == ('idle',)
@@ -132,7 +129,7 @@ def test_a_policy_is_saved_and_loaded(
   policy = dmm.load_policy('quickstart')
   policy.save(path(tmp_path / 'mine'))
   again = dmm.load_policy(path(tmp_path / 'mine'))
-  seen = np.ones((2, 37), dtype=np.float32)
+  seen = np.ones((2, policy.network.observation_size), dtype=np.float32)
   np.testing.assert_array_equal(
     policy.select_action(seen), again.select_action(seen)
   )

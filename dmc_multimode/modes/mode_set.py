@@ -91,7 +91,7 @@ def with_blends(mode_set: ModeSet, names: Sequence[str]) -> ModeSet:
     rows = [mode_set.index(part) for part in weights]
     shares = np.array(list(weights.values()))
     parts = [mode_set.motions[row] for row in rows]
-    motions.append(motion_lib.blend(parts, shares, name))
+    motions.append(motion_lib.blend(parts, shares.tolist(), name))
     latents.append((shares @ mode_set.latents[rows]).astype(np.float32))
   if len(motions) == len(mode_set):
     return mode_set
