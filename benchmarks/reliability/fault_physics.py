@@ -88,7 +88,10 @@ def _task(arena: str, timestep: float) -> composer_task.Imitation:
   return multimode_biped.make_task(
     policy.mode_set,
     arena=made,
-    config=task_config.ImitationConfig(physics_timestep=timestep),
+    config=task_config.ImitationConfig(
+      physics_timestep=timestep,
+      extra_observations=policy.config.extra_observations,
+    ),
   )
 
 
