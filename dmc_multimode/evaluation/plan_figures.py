@@ -41,7 +41,6 @@ def _draw_time(
   axis.set_yticks(range(len(names)), names)
   axis.set(xlabel='time (s)', ylim=(-0.5, len(names) - 0.5))
   axis.tick_params(axis='y', colors='C0')
-  axis.axvspan(plan.duration, found.seconds, color='0.95')
   axis.text(plan.duration, -0.4, ' rest', color='0.4')
   times = np.linspace(0.0, found.seconds, len(path) + 1)[1:]
   rows = terrain_lib.Terrain(
@@ -49,6 +48,7 @@ def _draw_time(
   )
   ground = terrain_lib.support_height(rows, path[:, 0])
   other = axis.twinx()
+  other.axvspan(plan.duration, found.seconds, color='0.95', zorder=0)
   other.fill_between(times, ground, step='mid', color='0.85')
   other.plot(times, path[:, 2], 'C3')
   other.set_ylabel('height of the trunk (m)', color='C3')
