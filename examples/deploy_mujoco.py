@@ -124,10 +124,10 @@ def main(policy: str, scene: str, delay: str = '0') -> int:
     _, seconds, place = schedule[0]
     if time - began > seconds - period / 2 or data.qpos[0] > place:
       began, schedule = time, schedule[1:]
-    place = data.qpos[:2]
-    controller.command(schedule[0][0], place, data.qvel[:2])
+    trunk = data.qpos[:2]
+    controller.command(schedule[0][0], trunk, data.qvel[:2])
     support = tops[starts <= data.qpos[0]][-1]
-    action = controller.act(place, sense(data, support))
+    action = controller.act(trunk, sense(data, support))
     mujoco.mj_step(model, data, late)
     data.ctrl[servos] = action
     mujoco.mj_step(model, data, steps - late)

@@ -4,12 +4,12 @@
     python -m benchmarks.reliability.robustness --policy=pi2,pi_all --falls_only
 
 Everything is judged by the code of `dmc_multimode.evaluation`, each case
-apart: the physics in finer steps; the edges of blocks nearer
-or farther than the references have them; the disturbances that `evaluate` fixes
-by its flags, with the same meaning; weaker servos; pushes, which change the
-trunk's velocity in a random horizontal direction once a second; obstacles,
-which every command meets that can: gaps under leaps, other blocks, ledges ahead
-of gaits; and bumps of the ground.
+apart: the physics in finer steps; the edges of blocks nearer or farther than
+the references have them; the disturbances that `evaluate` fixes by its flags,
+with the same meaning; weaker servos; pushes, which change the trunk's velocity
+in a random horizontal direction once a second; obstacles, which every command
+meets that can: gaps under leaps, other blocks, ledges ahead of gaits; and bumps
+of the ground.
 
 MRA and survival are those of `evaluate`. Where nothing but a fall ends an
 episode, `did not fall` is the share of robots, one mode each, that stay up for

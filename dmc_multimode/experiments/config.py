@@ -55,7 +55,7 @@ class RunConfig:
     clock_rates=(0.5, 3.0)
   )
   task: task_config.ImitationConfig = task_config.ImitationConfig(
-    # As good as 5 ms, and a quarter faster.
+    # Longer than those of users, and faster: see docs/LEARNING.md.
     physics_timestep=0.0075,
     extra_observations=('displacement', 'clock_rate', 'previous_action'),
     events=events.TrainingEvents(

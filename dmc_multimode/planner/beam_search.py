@@ -120,7 +120,7 @@ def beam_search(
     progress = problem.run_knot(front.commands)
     front.extend(progress.reward)
     worth = front.distinct & progress.alive
-    if not worth.any():
+    if not worth.any():  # Nobody is left to reach it.
       return front.solution(progress.alive, worth, knots)
     best = float(front.returns[worth].max())
     report(knot + 1, best, _nearest(problem, progress))

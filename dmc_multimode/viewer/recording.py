@@ -150,10 +150,11 @@ def record(
   if isinstance(compare, (str, os.PathLike)):
     if str(compare).endswith(video.SUFFIX):
       earlier, compare = pathlib.Path(compare), None
-  for each in (known, known if compare is None else _mode_set(compare)):
-    known = mode_set_lib.with_blends(each, what['modes'])
+  others = [] if compare is None else [_mode_set(compare)]
+  for each in [known, *others]:
+    blended = mode_set_lib.with_blends(each, what['modes'])
     for name in what['modes']:
-      known.index(name)  # Raises, before slow imports.
+      blended.index(name)  # Raises, before slow imports.
   gl.choose_backend()
   # It imports dm_control, which reads the choice.
   from dmc_multimode.viewer import rollout as rollout_lib

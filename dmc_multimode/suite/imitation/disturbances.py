@@ -1,7 +1,7 @@
 """Disturbances: another body, servo and ground in every episode.
 
 `Disturbances` is a table, one row each: unit, nominal value, and the range that
-a randomised training draws from. A training draws every row for every episode;
+a randomised training draws from, for every episode, every row or some of them;
 an evaluation has the nominal robot, or fixes a row by a range of no width:
 `Disturbances(friction=(0.4, 0.4))`.
 
@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 import pydantic
 
+from dmc_multimode.suite.imitation import observations
 from dmc_multimode.utils import config as config_lib
 
 _STRETCH = 0.02  # Of the way, by an odometry drift of 1.
@@ -174,9 +175,7 @@ def odometry_error(travelled: np.ndarray, drift: np.ndarray) -> np.ndarray:
     drift: the row `odometry_drift`, [B].
   """
   angle = drift * _TURN / 2 * np.linalg.norm(travelled, axis=1)
-  c, s = np.cos(angle), np.sin(angle)
-  x, y = travelled.T
-  turned = np.stack([c * x - s * y, s * x + c * y], axis=1)
+  turned = observations.in_heading(travelled, -angle)
   return (1 + _STRETCH * drift)[:, None] * turned - travelled
 
 
