@@ -1,3 +1,3 @@
-"""Tracks of box segments: level ground, gaps, plateaus, blocks, parkour."""
+"""Tracks of box segments: level ground, obstacles, and courses of them."""
 
-__all__ = ['layouts', 'terrain', 'track']
+__all__ = ['layouts', 'pieces', 'terrain', 'track']

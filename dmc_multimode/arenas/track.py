@@ -133,6 +133,11 @@ class Track(composer.Arena):
     )
 
   @property
+  def is_random(self) -> bool:
+    """True if draws differ."""
+    return not self._fixed
+
+  @property
   def num_segments(self) -> int:
     """Size of the pool of boxes."""
     return self._num_segments
@@ -163,14 +168,13 @@ class Track(composer.Arena):
     """Draws a terrain (a batch of one) without touching any physics.
 
     Raises:
-      ValueError: the layout has more pieces than the pool has boxes, or a piece
-        has no positive length or a negative gap.
+      ValueError: the layout has more pieces than the pool has boxes, a size of
+        it is out of bounds, or a piece has no positive length, a negative gap,
+        or a size that is not finite.
     """
     if self._fixed and self._drawn is not None:
       return self._drawn
-    pieces = (
-      self._layout(random_state) if callable(self._layout) else (self._layout)
-    )
+    pieces = layouts.draw(self._layout, random_state)
     if not 0 < len(pieces) <= self._num_segments:
       raise ValueError(
         f'A layout of {len(pieces)} pieces does not fit {self._num_segments} '
@@ -265,8 +269,10 @@ def _place(
   result = terrain_lib.empty(1, num_segments)
   x = 0.0
   for i, piece in enumerate(pieces):
-    if not piece.length > 0 or piece.gap < 0:
-      raise ValueError(f'Piece {i} needs length > 0 and gap >= 0: {piece}.')
+    if not (piece.length > 0 and piece.gap >= 0 and np.isfinite(piece).all()):
+      raise ValueError(
+        f'Piece {i} needs length > 0 and gap >= 0, all finite: {piece}.'
+      )
     x += float(piece.gap)
     result.starts[0, i] = x if i else _START
     x += float(piece.length)
@@ -276,12 +282,12 @@ def _place(
   return result
 
 
-_MOST_PIECES = 6  # Of any layout.
+_LEAST_SEGMENTS = 6  # Of a named track, so that small ones compile alike.
 
 
 def make(
   name: str,
-  num_segments: int = _MOST_PIECES,
+  num_segments: int | None = None,
   sizes: Mapping[str, layouts.Number] | None = None,
 ) -> Track:
   """Returns the named track.
@@ -290,10 +296,14 @@ def make(
 
   Args:
     name: one of `layouts.NAMES`.
-    num_segments: size of the pool of boxes.
-    sizes: of the layout, metres; see its function in `layouts`.
+    num_segments: size of the pool of boxes; by default as many as the layout
+      can have pieces, and at least 6.
+    sizes: of the layout; see its function in `layouts`.
 
   Raises:
-    ValueError: the name or a size is unknown; the message lists the known ones.
+    ValueError: the name or a size is unknown, and the message lists the known
+      ones; or a size is invalid.
   """
+  if num_segments is None:
+    num_segments = max(_LEAST_SEGMENTS, layouts.most_pieces(name, sizes))
   return Track(layouts.make(name, sizes), num_segments, adaptive=name == 'flat')

@@ -108,7 +108,11 @@ def define_paths(
 def define_sizes() -> flags.FlagHolder[list[str]]:
   """Defines --sizes, for `read_sizes`."""
   return flags.DEFINE_list(
-    'sizes', [], 'Of the arena, metres: width:0.3,distance:1.0.', FLAGS
+    'sizes',
+    [],
+    'Of the arena, metres: width:0.3,distance:1.0. Of a course, too, whose '
+    'difficulty is 0 to 1: difficulty:0.5,length:9.',
+    FLAGS,
   )
 
 

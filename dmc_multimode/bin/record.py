@@ -16,6 +16,7 @@ from typing import Sequence
 from absl import flags
 
 from dmc_multimode import viewer
+from dmc_multimode.arenas import layouts
 from dmc_multimode.bin import app
 from dmc_multimode.bin import flags as config_flags
 
@@ -25,9 +26,7 @@ _POLICY = config_flags.define_path(
 _SCHEDULE = flags.DEFINE_string(
   'schedule', 'walk_forward:2,leap_forward:3', 'MODE:SECONDS,MODE:SECONDS,...'
 )
-_ARENA = flags.DEFINE_string(
-  'arena', 'flat', 'flat, gap, plateau, block, gap_block or parkour.'
-)
+_ARENA = flags.DEFINE_string('arena', 'flat', f'{", ".join(layouts.NAMES)}.')
 _PLAN = config_flags.define_path(
   'plan', None, 'A file that `plan` wrote; says schedule, arena, seed, pushes.'
 )

@@ -175,6 +175,7 @@ def reach(
   random: int | np.random.RandomState | None = None,
   environment_kwargs: Mapping[str, Any] | None = None,
   policy: str | os.PathLike[str] | reaching.Policy = 'pi2',
+  sizes: Mapping[str, float] | None = None,
 ) -> reaching_env.ReachingEnvironment:
   """Returns an environment of mode commands across a track.
 
@@ -189,16 +190,18 @@ def reach(
     environment_kwargs: for the `composer.Environment`.
     policy: turns modes into motion: name of a shipped policy, a folder, or a
       `reaching.Policy`.
+    sizes: of the track, where they are not its defaults; see its function in
+      `arenas.layouts`.
 
   Raises:
     FileNotFoundError, TypeError: `policy` is not a policy.
-    ValueError: no knot fits into `time_limit`.
+    ValueError: no knot fits into `time_limit`, or a size is unknown or invalid.
   """
   from dmc_multimode.arenas import track
   from dmc_multimode.suite.reaching import environment as reaching_env
 
   policy = reaching_env.load_policy(policy)
-  arena = track.make(track_name)
+  arena = track.make(track_name, sizes=sizes)
   kwargs = dict(environment_kwargs or {})
   time_limit = kwargs.pop('time_limit', time_limit)
 
@@ -215,8 +218,8 @@ def reach(
   # Knots end the episode, and random tracks differ in their number.
   kwargs['time_limit'] = np.inf
   environment = make_environment(task, random, kwargs)
-  is_random = track_name == reaching.RANDOM_TRACK and time_limit is None
-  most_knots = None if is_random else first.knots
+  varies = arena.is_random and time_limit is None
+  most_knots = None if varies else first.knots
   return reaching_env.ReachingEnvironment(
     environment, policy, problem, most_knots
   )

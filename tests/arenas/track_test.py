@@ -85,6 +85,21 @@ def test_every_layout_generates(name: str) -> None:
     ('plateau', [(-20, 0.7, 0), (0.7, 1.3, 0.2), (1.3, 41.3, 0)]),
     ('block', [(-20, 0.8, 0), (0.8, 40.8, 0.4)]),
     ('gap_block', [(-20, 0.6, 0), (1.05, 1.65, 0), (1.65, 41.65, 0.4)]),
+    ('block_down', [(-20, 0.8, 0), (0.8, 40.8, -0.4)]),
+    (
+      'stairs',
+      [
+        *((-20, 0.7, 0), (0.7, 0.95, 0.1), (0.95, 1.2, 0.2), (1.2, 1.6, 0.3)),
+        *((1.6, 1.85, 0.2), (1.85, 2.1, 0.1), (2.1, 42.1, 0)),
+      ],
+    ),
+    (
+      'stepping_stones',
+      [
+        *((-20, 0.8, 0), (1.0, 1.3, 0), (1.5, 1.8, 0), (2.0, 2.3, 0)),
+        (2.5, 42.5, 0),
+      ],
+    ),
   ],
 )
 def test_by_hand(name: str, expected: list[tuple[float, float, float]]) -> None:
@@ -94,6 +109,7 @@ def test_by_hand(name: str, expected: list[tuple[float, float, float]]) -> None:
   found = np.stack([field[0, : len(expected)] for field in drawn], axis=-1)
   np.testing.assert_allclose(found, expected)
   assert np.isinf(drawn.starts[0, len(expected) :]).all()
+  assert arena.num_segments == max(6, len(expected))
 
 
 def test_parkour_has_every_obstacle() -> None:
@@ -110,6 +126,14 @@ def test_parkour_has_every_obstacle() -> None:
     assert rises.max() <= 0.4
 
 
+def test_pool_is_as_large_as_the_layout_may_need() -> None:
+  sizes = {'difficulty': 1.0, 'length': 9.0}
+  assert track.make('obstacle_course').num_segments == 19
+  assert track.make('obstacle_course', sizes=sizes).num_segments == 41
+  assert track.make('flat').num_segments == 6
+  assert track.make('obstacle_course', 32).num_segments == 32
+
+
 def _varied() -> track.Track:
   return track.Track(
     layouts.gap(
@@ -120,7 +144,14 @@ def _varied() -> track.Track:
   )
 
 
-@pytest.mark.parametrize('make', [lambda: track.make('parkour'), _varied])
+@pytest.mark.parametrize(
+  'make',
+  [
+    lambda: track.make('parkour'),
+    lambda: track.make('obstacle_course'),
+    _varied,
+  ],
+)
 def test_one_seed_one_track(make: Callable[[], track.Track]) -> None:
   drawn: list[list[terrain_lib.Terrain]] = []
   for _ in range(2):
@@ -137,7 +168,14 @@ def test_one_seed_one_track(make: Callable[[], track.Track]) -> None:
 
 
 @pytest.mark.parametrize(
-  'sizes', [{'length': 0.0}, {'length': float('nan')}, {'gap': -0.1}]
+  'sizes',
+  [
+    {'length': 0.0},
+    {'length': float('nan')},
+    {'gap': -0.1},
+    {'gap': float('nan')},
+    {'height': float('inf')},
+  ],
 )
 def test_impossible_piece(sizes: dict[str, float]) -> None:
   piece = layouts.Piece(**{'length': 1.0, **sizes})

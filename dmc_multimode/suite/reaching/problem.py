@@ -30,9 +30,9 @@ _UPRIGHT = 0.9  # Cosine of the trunk's tilt.
 _EXACT = 1e-6  # Metres: rounding of sums.
 
 RANDOM_TRACK = 'parkour'
-_BEYOND = 0.4  # Metres behind the last edge of a random track: the goal.
+_BEYOND = 0.4  # Metres behind the last edge of a track: its goal.
 _SPEED = 0.3  # Least speed along the track that the knots suffice for, m/s.
-_RANDOM_KNOT = 0.15  # Seconds.
+_KNOT = 0.15  # Seconds.
 
 AHEAD = tuple(0.05 * i for i in range(1, 31))  # Metres ahead.
 GAP = -1.0  # Metres: value of `ground_ahead` over a gap.
@@ -97,13 +97,27 @@ PROBLEMS: Mapping[str, Problem] = {  # By the name of the track.
 }
 
 
-TRACKS = (*PROBLEMS, RANDOM_TRACK)
+# By name, and not from `arenas.layouts`: names of tasks need no Composer.
+TRACKS = (
+  *PROBLEMS,
+  RANDOM_TRACK,
+  'block',
+  'block_down',
+  'stairs',
+  'stepping_stones',
+  'slope',
+  'rough',
+  'obstacle_course',
+  'gaps_and_blocks',
+)
 
 
 def problem(
   track: str, terrain: terrain_lib.Terrain, seed: int = 0
 ) -> ReachingConfig:
   """Returns the paper's problem of a track, or else that of crossing it.
+
+  The goal of crossing it is on the ground behind the last edge.
 
   Args:
     track: its name.
@@ -121,19 +135,33 @@ def problem(
     return ReachingConfig(seed=seed)
   x = float(terrain.starts[0, last]) + _BEYOND
   z = float(terrain.tops[0, last]) + constants.STAND_HEIGHT
-  return ReachingConfig(
-    (x, 0.0, z), round(x / _SPEED / _RANDOM_KNOT), _RANDOM_KNOT, seed
-  )
+  return ReachingConfig((x, 0.0, z), round(x / _SPEED / _KNOT), _KNOT, seed)
 
 
-def random_problem(seed: int) -> ReachingConfig:
-  """Returns the problem of crossing the random track of a seed."""
+def random_problem(
+  seed: int,
+  track: str = RANDOM_TRACK,
+  sizes: Mapping[str, float] | None = None,
+) -> ReachingConfig:
+  """Returns the problem on a track as a seed draws it.
+
+  Args:
+    seed: of the draw.
+    track: its name.
+    sizes: of the track, where they are not its defaults.
+
+  Raises:
+    ValueError: the track or a size is unknown, a size is invalid, or the goal
+      not over the track.
+  """
   # Late: a track needs Composer, which the names of problems do not.
   from dmc_multimode.arenas import track as track_lib
 
-  track = track_lib.make(RANDOM_TRACK)
-  terrain = track.generate(np.random.RandomState(seed))
-  return problem(RANDOM_TRACK, terrain, seed)
+  arena = track_lib.make(track, sizes=sizes)
+  terrain = arena.generate(np.random.RandomState(seed))
+  config = problem(track, terrain, seed)
+  check_goal(config.goal, terrain)
+  return config
 
 
 def within(config: ReachingConfig, time_limit: float | None) -> ReachingConfig:
@@ -155,6 +183,12 @@ def within(config: ReachingConfig, time_limit: float | None) -> ReachingConfig:
     )
   knots = math.floor(time_limit / config.knot_duration + 1e-6)
   return dataclasses.replace(config, knots=knots)
+
+
+def in_knots(config: ReachingConfig, knot_duration: float) -> ReachingConfig:
+  """Returns the problem in knots of another duration, seconds; as long."""
+  knots = max(round(config.knots * config.knot_duration / knot_duration), 1)
+  return dataclasses.replace(config, knots=knots, knot_duration=knot_duration)
 
 
 def task_config(
@@ -222,7 +256,7 @@ def rewards(position: np.ndarray, goal: np.ndarray) -> np.ndarray:
 
   Args:
     position: p, of the trunk, world metres, [B, 3].
-    goal: world metres, [3].
+    goal: world metres, [3], or one for each, [B, 3].
   """
   return np.exp(-np.linalg.norm(goal - position, axis=-1))
 
@@ -241,10 +275,12 @@ def reached(
   Args:
     qpos, qvel: generalised positions [B, 17] and velocities [B, 16].
     terrain: under the B robots.
-    goal: world metres, [3].
+    goal: world metres, [3], or one for each, [B, 3].
   """
   x = qpos[:, 0]
-  at_goal = terrain_lib.support_height(terrain, np.full_like(x, goal[0]))
+  at_goal = terrain_lib.support_height(
+    terrain, np.broadcast_to(goal, (len(x), 3))[:, 0]
+  )
   there = terrain_lib.support_height(terrain, x) == at_goal
   there &= (np.abs(qpos[:, :3] - goal) <= _NEAR).all(axis=1)
   # The third column of the rotation matrix: how upright the trunk is.
@@ -253,7 +289,11 @@ def reached(
   return there & slow & (up > _UPRIGHT)
 
 
-def ground_ahead(terrain: terrain_lib.Terrain, x: np.ndarray) -> np.ndarray:
+def ground_ahead(
+  terrain: terrain_lib.Terrain,
+  x: np.ndarray,
+  shift: float | np.ndarray = 0.0,
+) -> np.ndarray:
   """Returns the heights of the ground `AHEAD` of robots, metres, [B, 30].
 
   They are relative to the support planes under the robots, and `GAP` where
@@ -262,7 +302,10 @@ def ground_ahead(terrain: terrain_lib.Terrain, x: np.ndarray) -> np.ndarray:
   Args:
     terrain: under the B robots.
     x: of their trunks, world metres, [B].
+    shift: of the places that are looked at, an error, metres, [B] or one for
+      all.
   """
-  top = terrain_lib.profile(terrain, x[:, None] + np.array(AHEAD))
+  places = x + shift
+  top = terrain_lib.profile(terrain, places[:, None] + np.array(AHEAD))
   support = terrain_lib.support_height(terrain, x)[:, None]
   return np.where(np.isfinite(top), top - support, GAP)

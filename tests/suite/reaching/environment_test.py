@@ -106,10 +106,9 @@ def test_what_a_planner_rolls_out() -> None:
 
 @pytest.mark.parametrize('name', reaching.TRACKS)
 def test_registered_tasks_are_what_planners_get(name: str) -> None:
-  if name == reaching.RANDOM_TRACK:
-    config = reaching.random_problem(3)
-  else:
-    config = reaching.PROBLEMS[name].config(3)
+  config = reaching.random_problem(3, name)
+  if name in reaching.PROBLEMS:
+    assert config == reaching.PROBLEMS[name].config(3)
   env, random = _load(name), np.random.RandomState(1)
   plan = random.randint(4, size=config.knots).tolist()
   _assert_alike(env, _load_policy('pi2'), name, config, plan)
@@ -213,6 +212,18 @@ def test_random_track_changes_from_episode_to_episode() -> None:
     # 0.3 m/s, 0.15 s a knot.
     assert env.knots == same.knots == round(env.goal[0] / 0.3 / 0.15)
   assert len(set(goals)) == 3
+
+
+def test_track_of_other_sizes() -> None:
+  sizes = {'difficulty': 0.9, 'length': 6.0}
+  env = _load('obstacle_course', random=2, policy=_Puppet(), sizes=sizes)
+  env.reset()
+  config = reaching.random_problem(2, 'obstacle_course', sizes)
+  assert (tuple(env.goal), env.knots) == (config.goal, config.knots)
+  assert env.most_knots is None
+  assert _load('stairs', policy=_Puppet()).most_knots == 56  # 2.5 m.
+  with pytest.raises(ValueError, match="no size 'depth'"):
+    _load('obstacle_course', policy=_Puppet(), sizes={'depth': 1.0})
 
 
 # --- What is no input.

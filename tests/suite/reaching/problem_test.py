@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dmc_multimode.arenas import layouts
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track
 from dmc_multimode.suite.reaching import problem as reaching
@@ -127,6 +128,10 @@ def test_problems_are_on_their_tracks(name: str) -> None:
     assert reaching.knot_steps(config, 0.03) in (5, 10)
 
 
+def test_every_track_but_level_ground_has_a_problem() -> None:
+  assert {*reaching.TRACKS} == {*layouts.NAMES} - {'flat'}
+
+
 def test_goals_are_on_the_ground_of_their_track() -> None:
   arena = track.make('gap_block', sizes={'height': 0.2})
   terrain = arena.generate(np.random.RandomState(0))
@@ -141,6 +146,18 @@ def test_random_problem() -> None:
   terrain = track.make('parkour').generate(np.random.RandomState(4))
   assert reaching.random_problem(4) == reaching.problem('parkour', terrain, 4)
   assert reaching.random_problem(4) != reaching.random_problem(5)
+
+
+def test_problem_of_a_track_of_other_sizes() -> None:
+  """Knots suffice for 0.3 m/s, 0.15 s each."""
+  sizes = {'difficulty': 0.5, 'length': 9.0}
+  config = reaching.random_problem(4, 'obstacle_course', sizes)
+  assert 8.0 < config.goal[0] <= 9.4
+  assert config.knots == round(config.goal[0] / 0.3 / 0.15)
+  config = reaching.random_problem(4, 'block_down', {'distance': 1.0})
+  np.testing.assert_allclose(config.goal, (1.4, 0.0, 0.1))
+  with pytest.raises(ValueError, match='x = 2 m, is not over the track'):
+    reaching.random_problem(4, 'gap', {'distance': 1.8})
 
 
 @pytest.mark.parametrize(
