@@ -15,7 +15,7 @@ Modes, policies and tracks are given by name or as objects, files and folders as
 """
 
 import os
-from typing import Any, Sequence, TYPE_CHECKING
+from typing import Any, Literal, Mapping, overload, Sequence, TYPE_CHECKING
 
 from dmc_multimode.utils import lazy
 
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
   from dmc_multimode.pretrained.policy import Policy
   from dmc_multimode.suite.imitation.batched_env import BatchedImitation
   from dmc_multimode.suite.imitation.config import ImitationConfig
+  from dmc_multimode.suite.reaching.worlds import ReachingWorlds
   from dmc_multimode.viewer.recording import record
 
 __version__ = '0.1.0'
@@ -46,6 +47,7 @@ __all__ = [
   'train',
 ]
 
+_REACHING = 'reach_'
 # Name -> module, and its name there if that is another.
 _HOMES = {
   'Policy': 'pretrained.policy',
@@ -88,6 +90,36 @@ def load(task: str, **task_kwargs: Any) -> 'dm_env.Environment':
   return suite.load(suite.DOMAIN, task, task_kwargs)
 
 
+_Reaching = Literal[
+  'reach_gap',
+  'reach_plateau',
+  'reach_gap_block',
+  'reach_parkour',
+  'reach_block',
+  'reach_block_down',
+  'reach_stairs',
+  'reach_stepping_stones',
+  'reach_slope',
+  'reach_rough',
+  'reach_obstacle_course',
+  'reach_gaps_and_blocks',
+]
+
+
+@overload
+def make_worlds(  # type: ignore[overload-overlap]
+  modes: _Reaching,
+  num_worlds: int,
+  seed: int = 0,
+  *,
+  policy: 'str | os.PathLike[str] | Policy' = 'pi2',
+  sizes: 'Mapping[str, float] | None' = None,
+  num_threads: int = 0,
+  auto_reset: bool = True,
+) -> 'ReachingWorlds': ...
+
+
+@overload
 def make_worlds(
   modes: 'str | Sequence[str] | ModeSet | Policy | os.PathLike[str]',
   num_worlds: int,
@@ -97,13 +129,28 @@ def make_worlds(
   num_threads: int = 0,
   auto_reset: bool = True,
   privileged: bool = False,
-) -> 'BatchedImitation':
+) -> 'BatchedImitation': ...
+
+
+def make_worlds(
+  modes: 'str | Sequence[str] | ModeSet | Policy | os.PathLike[str]',
+  num_worlds: int,
+  seed: 'int | np.random.RandomState' = 0,
+  config: 'ImitationConfig | None' = None,
+  arena: 'str | Track' = 'flat',
+  num_threads: int = 0,
+  auto_reset: bool = True,
+  privileged: bool = False,
+  policy: 'str | os.PathLike[str] | Policy' = 'pi2',
+  sizes: 'Mapping[str, float] | None' = None,
+) -> 'BatchedImitation | ReachingWorlds':
   """Returns many worlds of one task, stepped together; call `reset` first.
 
   Args:
     modes: names, as `dmc_multimode.modes.library.mode_set` takes them: one mode
       is commanded throughout; of several, Algorithm 1 chooses. Or a `ModeSet`,
-      or a policy or its folder, for its modes.
+      or a policy or its folder, for its modes. Or the name of a task `reach_*`,
+      whose actions are modes; see `ReachingWorlds`.
     num_worlds: B.
     seed: of all randomness.
     config: of the task; that of a policy is by default the one with which it is
@@ -112,9 +159,11 @@ def make_worlds(
     num_threads: of the physics; 0 takes every core.
     auto_reset: resets a world in the step that ends its episode.
     privileged: appends the privileged critic observations.
+    policy: of a task `reach_*`: turns modes into motion.
+    sizes: of its track, where they are not its defaults.
 
   Raises:
-    FileNotFoundError, TypeError: `modes` is not a policy.
+    FileNotFoundError, TypeError: `modes` or `policy` is not a policy.
     ValueError: a mode or the arena is unknown, or a number out of bounds.
   """
   from dmc_multimode.modes import mode_set as mode_set_lib
@@ -123,16 +172,26 @@ def make_worlds(
   from dmc_multimode.suite.imitation import config as task_config
   from dmc_multimode.suite.reaching import environment as reaching_env
 
+  if isinstance(modes, str) and modes.startswith(_REACHING):
+    from dmc_multimode.suite.reaching import worlds
+
+    return worlds.ReachingWorlds(
+      reaching_env.load_policy(policy),
+      modes.removeprefix(_REACHING),
+      num_worlds,
+      seed if isinstance(seed, int) else seed.randint(2**31),
+      num_threads,
+      sizes,
+      auto_reset=auto_reset,
+    )
   if isinstance(modes, mode_set_lib.ModeSet):
     task = multimode_biped.make_task(modes, arena=arena, config=config)
   elif isinstance(modes, Sequence):
     task = multimode_biped.make_modes_task(modes, config=config, arena=arena)
   else:
-    policy = reaching_env.load_policy(modes)
-    config = config or task_config.evaluated(policy.config)
-    task = multimode_biped.make_task(
-      policy.mode_set, arena=arena, config=config
-    )
+    named = reaching_env.load_policy(modes)
+    config = config or task_config.evaluated(named.config)
+    task = multimode_biped.make_task(named.mode_set, arena=arena, config=config)
   return batched_env.BatchedImitation(
     task, num_worlds, seed, num_threads, auto_reset, privileged
   )

@@ -4,6 +4,7 @@ A test that draws carries `@pytest.mark.gl` and is skipped where nothing can.
 """
 
 import os
+from typing import Iterator
 
 import pytest
 
@@ -25,3 +26,14 @@ else:
 def pytest_runtest_setup(item: pytest.Item) -> None:
   if _NO_GL and item.get_closest_marker('gl'):
     pytest.skip(_NO_GL)
+
+
+@pytest.fixture
+def one_thread() -> Iterator[None]:
+  """Limits torch to one thread, for reproducible rounding."""
+  import torch  # Late: its threads are set above, and most tests need none.
+
+  before = torch.get_num_threads()
+  torch.set_num_threads(1)
+  yield
+  torch.set_num_threads(before)

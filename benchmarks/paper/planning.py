@@ -5,8 +5,11 @@
 Every track of the paper is planned for from `--seeds` starts, which differ in
 the noise on joints, tilt and velocities; then `--random` tracks with a gap, a
 plateau and a block of random sizes in random order (`parkour`), from end to
-end. Seconds are from the first roll-out to the last; steps are control steps of
-all worlds together. The paper's times are its own, on another machine.
+end, or `--random_track`, pushed by `--push_speed` or not. Seconds are from the
+first roll-out to the last; steps are control steps of all worlds together. The
+paper's times are its own, on another machine.
+`--seconds` is the budget of every plan, in place of a number of attempts; plans
+then depend on the machine.
 
 Under `torchrun` in place of `python`, several processes share the tracks; each
 plans on its share of the cores, so that seconds grow and plans stay.
@@ -23,17 +26,20 @@ from typing import Sequence
 from absl import flags
 import mujoco
 import numpy as np
-import torch
 import tqdm
 
 from benchmarks import common
+from dmc_multimode import planner as planner_lib
 from dmc_multimode import pretrained
 from dmc_multimode.agents import distributed
 from dmc_multimode.bin import app
+from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.experiments import launch
 from dmc_multimode.planner import beam_search
+from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.planner import q_learning
 from dmc_multimode.planner import solver as solver_lib
+from dmc_multimode.planner import steering
 from dmc_multimode.suite.reaching import problem as reaching
 from dmc_multimode.utils import files
 
@@ -43,8 +49,20 @@ _SEEDS = flags.DEFINE_integer('seeds', 5, 'Starts on each track.', 0)
 _RANDOM = flags.DEFINE_integer(
   'random', 100, 'Random tracks, for the first planner alone.', 0
 )
+_TRACK = flags.DEFINE_string(
+  'random_track', reaching.RANDOM_TRACK, 'Which random tracks.'
+)
+_PUSH_SPEED = flags.DEFINE_float(
+  'push_speed', 0.0, 'Of pushes about once a second on random tracks, m/s.', 0.0
+)
 _BEAMS = flags.DEFINE_integer(
   'beams', beam_search.BeamConfig().beams, 'Of the beam search.', 1
+)
+_SECONDS = flags.DEFINE_float(
+  'seconds', None, 'Wall-clock budget of a beam search; none by default.'
+)
+_SELECTOR = config_flags.define_path(
+  'selector', '', 'Folder of the selector; the one beside the policy.'
 )
 _OUT = common.define_out()
 
@@ -55,17 +73,29 @@ _COLUMNS = (
 )
 
 Row = common.Row
+_PUSH_PERIOD = 1.0  # Seconds.
 
 
 def solve(
-  policy: pretrained.Policy,
+  policy: str,
   name: str,
   config: reaching.ReachingConfig,
   planner: solver_lib.PlannerConfig,
   threads: int = 0,
+  seconds: float | None = None,
 ) -> Row:
   """Returns what a planner finds on a track, with threads or all cores."""
-  found = solver_lib.Solver(policy, name, config, planner, threads).solve()
+  found = planner_lib.solve(
+    policy,
+    name,
+    config.seed,
+    config,
+    planner=planner,
+    pushes=_pushes(config) if name == _TRACK.value else (),
+    num_threads=threads,
+    quiet=True,
+    seconds=seconds,
+  )
   return {
     'track': name,
     'seed': config.seed,
@@ -77,7 +107,24 @@ def solve(
     'goal': list(config.goal),
     'final_position': found.final_position.tolist(),
     'plan': list(found.plan.modes),
+    **{k: v for k, v in found.origin.items() if k.startswith('decision')},
   }
+
+
+def _pushes(config: reaching.ReachingConfig) -> list[pushes_lib.Push]:
+  """Returns pushes in random directions, about once a second, at knots."""
+  speed, random_state = _PUSH_SPEED.value, np.random.RandomState(config.seed)
+  if not speed:
+    return []
+  apart = round(_PUSH_PERIOD / config.knot_duration)
+  angles = random_state.uniform(0, 2 * np.pi, config.knots)
+  return [
+    pushes_lib.Push(
+      knot * config.knot_duration,
+      (speed * np.cos(angles[knot]), speed * np.sin(angles[knot]), 0.0),
+    )
+    for knot in range(apart, config.knots, apart)
+  ]
 
 
 def summary(rows: Sequence[Row]) -> Row:
@@ -99,16 +146,22 @@ def summary(rows: Sequence[Row]) -> Row:
 
 
 def _planners() -> dict[str, solver_lib.PlannerConfig]:
-  """Returns --planners; raises ValueError if one is unknown."""
+  """Returns --planners.
+
+  Raises:
+    ValueError: one is unknown, or takes no --seconds.
+  """
   known: dict[str, solver_lib.PlannerConfig] = {
     'beam': beam_search.BeamConfig(_BEAMS.value),
     'q_learning': q_learning.QLearningConfig(),
+    'selector': steering.SteeringConfig(_SELECTOR.value),
   }
   for name in _PLANNERS.value:
     if name not in known:
       raise ValueError(
         f'--planners: {name!r} is not one of {", ".join(known)}.'
       )
+    solver_lib.check_seconds(_SECONDS.value, known[name])
   return {name: known[name] for name in _PLANNERS.value}
 
 
@@ -124,7 +177,11 @@ def _cases() -> list[
     for seed in range(_SEEDS.value)
   ]
   return cases + [
-    (reaching.RANDOM_TRACK, reaching.random_problem(seed), planners[0])
+    (
+      _TRACK.value,
+      reaching.random_problem(seed, _TRACK.value),
+      planners[0],
+    )
     for seed in range(_RANDOM.value)
   ]
 
@@ -136,6 +193,7 @@ def _write(out: pathlib.Path | None, rows: Sequence[Row]) -> None:
     'plans': list(rows),
     'policy': _POLICY.value,
     'beams': _BEAMS.value,
+    'seconds': _SECONDS.value,
   }
   common.write_report(out, report)
 
@@ -158,8 +216,7 @@ def _of_all_ranks(
 def _plan(communicator: distributed.Communicator) -> None:
   """Plans for every rank's share of the cases; rank 0 prints and writes."""
   out, cases = files.output_file('out', _OUT.value), _cases()
-  policy = pretrained.load(_POLICY.value)
-  torch.set_num_threads(1)  # As `plan` does.
+  pretrained.load(_POLICY.value)  # An error before the first plan.
   is_first, is_alone = communicator.rank == 0, communicator.size == 1
   threads = 0 if is_alone else distributed.local_cores()
   if is_first:
@@ -169,7 +226,9 @@ def _plan(communicator: distributed.Communicator) -> None:
   for name, config, planner in tqdm.tqdm(
     mine, unit='plan', disable=not is_first
   ):
-    rows.append(solve(policy, name, config, planner, threads))
+    rows.append(
+      solve(_POLICY.value, name, config, planner, threads, _SECONDS.value)
+    )
     if not rows[-1]['success']:
       x, _, z = rows[-1]['final_position']
       tqdm.tqdm.write(

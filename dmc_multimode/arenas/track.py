@@ -17,6 +17,10 @@ from dmc_multimode.arenas import terrain as terrain_lib
 
 _START = -20.0  # Metres: the ground begins this far behind the origin.
 _RUN_OUT = 20.0  # Metres of ground behind the last obstacle.
+_STRETCHES = 'obstacle_course'  # What an endless track is made of,
+_STRETCH = 8.0  # metres each.
+_SIGHT = 4.0  # Metres ahead of the robot where an endless track has obstacles.
+_BEHIND = 3.0  # Metres behind it where they stay.
 COLOURS = ('.70 .74 .78 1', '.62 .67 .72 1')
 
 
@@ -238,6 +242,44 @@ class Track(composer.Arena):
     self.apply(physics, self._terrain)
 
 
+class EndlessTrack(Track):
+  """A track without an end: its layout is drawn again ahead of the robot."""
+
+  def extended(
+    self,
+    terrain: terrain_lib.Terrain,
+    x: float,
+    random_state: np.random.RandomState,
+  ) -> terrain_lib.Terrain | None:
+    """Returns the terrain with obstacles farther ahead, if it needs them.
+
+    Args:
+      terrain: a batch of one, this track's.
+      x: of the robot, world metres.
+      random_state: source of the obstacles.
+
+    Returns:
+      The terrain, without what lies far behind; None while there is enough
+      ahead.
+    """
+    starts, ends, tops = (field[0] for field in terrain)
+    last = int(np.flatnonzero(np.isfinite(starts))[-1])
+    if starts[last] - x > _SIGHT:
+      return None
+    kept = np.flatnonzero(ends[: last + 1] > x - _BEHIND)
+    drawn = layouts.draw(self._layout, random_state)
+    more = _place([layouts.Piece(*map(float, p)) for p in drawn], len(drawn))
+    begin, base = starts[last], tops[last]
+    result = terrain_lib.empty(1, self.num_segments)
+    count = len(kept)
+    total = count + len(drawn) - 1
+    result.starts[0, :total] = [*starts[kept], *(begin + more.starts[0, 1:])]
+    result.ends[0, :total] = [*ends[kept[:-1]], *(begin + more.ends[0])]
+    result.tops[0, :total] = [*tops[kept], *(base + more.tops[0, 1:])]
+    result.starts[0, 0] = min(result.starts[0, 0], x + _START)
+    return result
+
+
 def write_sizes(
   halves: np.ndarray,
   geom_ids: np.ndarray,
@@ -307,3 +349,18 @@ def make(
   if num_segments is None:
     num_segments = max(_LEAST_SEGMENTS, layouts.most_pieces(name, sizes))
   return Track(layouts.make(name, sizes), num_segments, adaptive=name == 'flat')
+
+
+def endless(difficulty: float = 0.5) -> EndlessTrack:
+  """Returns an obstacle course that never ends.
+
+  Args:
+    difficulty: of the obstacles; see `layouts.obstacle_course`.
+
+  Raises:
+    ValueError: the difficulty is out of bounds.
+  """
+  sizes = {'difficulty': difficulty, 'length': _STRETCH}
+  # What is left behind and ahead, and a stretch more.
+  segments = 2 * layouts.most_pieces(_STRETCHES, sizes)
+  return EndlessTrack(layouts.make(_STRETCHES, sizes), segments, name='endless')

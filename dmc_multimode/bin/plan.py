@@ -11,6 +11,8 @@ that were commanded:
 
   python -m dmc_multimode.bin.plan --arena=gap_block \
     --policy=pi2 --push=0.6:-0.5 --replan_every=2 --out=plan.json
+
+With --seconds it returns in time with the best plan so far, successful or not.
 """
 
 import dataclasses
@@ -49,6 +51,13 @@ _PLANNER = flags.DEFINE_enum(
 )
 _REPLAN_EVERY = flags.DEFINE_integer(
   'replan_every', 0, 'Knots after which to plan again; 0 for never.'
+)
+_SECONDS = flags.DEFINE_float(
+  'seconds',
+  None,
+  'Wall-clock budget of each planning, without the compilation of worlds; the '
+  'beam search begins anew with more beams until it is spent. By default it '
+  'ends after --beam_attempts.',
 )
 _PUSH = flags.DEFINE_list(
   'push', [], 'What pushes the robot, m/s: SECONDS:VX or SECONDS:VX:VY, ...'
@@ -116,6 +125,7 @@ def main(argv: Sequence[str]) -> int:
     [pushes_lib.parse(item) for item in _PUSH.value],
     _REPLAN_EVERY.value,
     _THREADS.value,
+    seconds=_SECONDS.value,
   )
   _print(found)
   if out:

@@ -2,6 +2,10 @@ r"""Serves a browser page that shows and commands a policy.
 
   python -m dmc_multimode.bin.view --policy=pi2 --arena=gap_block
 
+On --arena=endless obstacles of --difficulty appear ahead for as long as the
+robot runs; with --selector=FOLDER a selector of `train_selector` commands it,
+until somebody does.
+
 Buttons and keys command modes, push the robot, choose the track, and search for
 a plan across it. --action_delay=0.03, --payload=2 and their like fix what is
 wrong with the robot, as for `evaluate`. The page is reachable from this machine
@@ -23,7 +27,15 @@ from dmc_multimode.bin import flags as config_flags
 _POLICY = config_flags.define_path(
   'policy', 'pi2', 'Name of a shipped policy, or folder of a policy or a run.'
 )
-_ARENA = flags.DEFINE_string('arena', 'flat', f'{", ".join(layouts.NAMES)}.')
+_ARENA = flags.DEFINE_string(
+  'arena', 'flat', f'{", ".join(layouts.NAMES)} or endless.'
+)
+_SELECTOR = config_flags.define_path(
+  'selector', None, 'Folder of a selector, which then commands the robot.'
+)
+_DIFFICULTY = flags.DEFINE_float(
+  'difficulty', 0.5, 'Of the endless track, 0 to 1.', 0.0, 1.0
+)
 _SEED = flags.DEFINE_integer('seed', 0, 'Of the track and the initial state.')
 _VIEWER = flags.DEFINE_enum(
   'viewer', 'web', ['web', 'native'], 'A page, or a window.'
@@ -50,6 +62,8 @@ def main(argv: Sequence[str]) -> None:
     _THREADS.value,
     native=_VIEWER.value == 'native',
     disturbed=config_flags.given_disturbances(),
+    selector=_SELECTOR.value,
+    difficulty=_DIFFICULTY.value,
   )
 
 

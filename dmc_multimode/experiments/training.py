@@ -7,9 +7,7 @@ import dataclasses
 import json
 import math
 import os
-import signal
 import sys
-import threading
 from typing import Any, Mapping, Sequence
 
 import torch
@@ -22,6 +20,7 @@ from dmc_multimode.experiments import fine_tuning
 from dmc_multimode.experiments import launch
 from dmc_multimode.experiments import run_folder
 from dmc_multimode.experiments import setup
+from dmc_multimode.experiments import signals
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set as mode_set_lib
@@ -347,7 +346,7 @@ def _run(
   if is_first:
     logger = _make_logger(folder, run, length.steps, wandb_project)
   try:
-    with _Stop() as stop:
+    with signals.Stop() as stop:
       run.loop.run(length, logger, save, stop, keep)
   finally:
     logger.close()
@@ -372,33 +371,3 @@ def _make_logger(
     values = run_config.to_dict(run.config)
     parts.append(loggers.WandbLogger(folder.path, wandb_project, values))
   return loggers.Dispatcher(parts)
-
-
-class _Stop:
-  """Context in which the first SIGINT or SIGTERM ends the loop."""
-
-  _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-
-  def __init__(self) -> None:
-    self.asked = False
-    self._before: dict[int, Any] = {}
-
-  def __enter__(self) -> '_Stop':
-    # Python delivers signals to the main thread only.
-    if threading.current_thread() is threading.main_thread():
-      for number in self._SIGNALS:
-        self._before[number] = signal.signal(number, self._handle)
-    return self
-
-  def __exit__(self, *error: object) -> None:
-    for number, handler in self._before.items():
-      signal.signal(number, handler)
-
-  def _handle(self, number: int, frame: Any) -> None:
-    del frame
-    self.asked = True
-    # A second signal ends the process at once.
-    signal.signal(number, signal.SIG_DFL)
-
-  def __call__(self) -> bool:
-    return self.asked

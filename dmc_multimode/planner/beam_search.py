@@ -1,14 +1,22 @@
 """Beam search over modes that copies the worlds' states at the knots."""
 
-from typing import Callable, NamedTuple
+import itertools
+from typing import Callable, Iterator, NamedTuple
 
 import numpy as np
 
+from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.utils import config as config_lib
 
 _CELL = 0.15  # Metres: length of a cell along the track.
 _PHASES = 4  # Cells of a mode's phase.
+# Beams up to which `BeamConfig.doubling` goes. A world takes some 8 kB, and a
+# search of more would take a quarter of an hour and gigabytes.
+_MOST_BEAMS = 4096
+_RESTED = 32  # Worlds that rest where a search is stopped.
+# Share of a knot's time that worlds take which are not moved, as measured.
+_OVERHEAD = 0.25
 
 
 class Solution(NamedTuple):
@@ -34,7 +42,7 @@ class BeamConfig:
   Attributes:
     beams: number of states kept at each knot.
     attempts: number of searches until a plan succeeds, each with twice the
-      beams of the one before.
+      beams of the one before. With a budget of seconds it does not matter.
   """
 
   beams: config_lib.PositiveInt = 24
@@ -43,6 +51,13 @@ class BeamConfig:
   def escalation(self) -> 'list[BeamConfig]':
     """Returns one config per attempt, doubling `beams` each time."""
     return [BeamConfig(self.beams << i, 1) for i in range(self.attempts)]
+
+  def doubling(self) -> 'Iterator[BeamConfig]':
+    """Yields the configs of `escalation`, for as long as there is memory."""
+    for i in itertools.count():
+      yield BeamConfig(self.beams << i, 1)
+      if self.beams << i + 1 > _MOST_BEAMS:
+        return
 
 
 class _Front:
@@ -70,15 +85,27 @@ class _Front:
     self.distinct = np.arange(len(self.commands)) < len(kept) * self._modes
     return self._parents
 
+  @property
+  def rollouts(self) -> int:
+    """Number of parts of plans, of a knot each, so far."""
+    return self._plans.size
+
   def solution(
-    self, alive: np.ndarray, reached: np.ndarray, knots: int
+    self, alive: np.ndarray, reached: np.ndarray, knots: int, filler: int = 0
   ) -> Solution:
-    """Returns the plans, padded to `knots`, by how they ended, [W] each."""
+    """Returns the plans by how they ended.
+
+    Args:
+      alive, reached: masks of the worlds that have not fallen, and that stand
+        at the goal, [W].
+      knots: length to which the plans are padded.
+      filler: mode index to pad with.
+    """
     missing = knots - self._plans.shape[1]
     success = reached & self.distinct
     order = np.lexsort((-self.returns, ~alive, ~success))
     order = order[self.distinct[order]]
-    plans = np.pad(self._plans, ((0, 0), (0, missing)))
+    plans = np.pad(self._plans, ((0, 0), (0, missing)), constant_values=filler)
     return Solution(
       plans[order],
       self.returns[order],
@@ -91,6 +118,7 @@ def beam_search(
   problem: problem_lib.ReachingProblem,
   config: BeamConfig,
   report: Callable[[int, float, float], None] = lambda *args: None,
+  stop: Callable[[float], bool] = lambda ahead: False,
 ) -> Solution:
   """Searches plans, with beams spread over place, mode and phase.
 
@@ -104,6 +132,14 @@ def beam_search(
     config: of one attempt.
     report: called with the knot, the best return, and the least distance from
       the goal along x.
+    stop: called after each knot with the seconds that would be simulated until
+      the search ends, were it to be stopped at the next knot; ends the search
+      if true.
+
+  Returns:
+    The plans of the last knot. Where the search is stopped some of the robots
+    rest, and the plans, which go on with rest, begin with those of the robots
+    that then stand, by their returns so far.
 
   Raises:
     ValueError: the problem has another number of worlds.
@@ -124,18 +160,57 @@ def beam_search(
       return front.solution(progress.alive, worth, knots)
     best = float(front.returns[worth].max())
     report(knot + 1, best, _nearest(problem, progress))
-    if knot < knots - 1:
-      cells = np.stack(
-        [
-          np.floor(progress.position[:, 0] / _CELL),
-          front.commands,
-          np.floor(problem.phase * _PHASES),
-        ]
-      )
+    is_last = knot == knots - 1
+    duration = problem.config.knot_duration
+    place = np.floor(progress.position[:, 0] / _CELL)
+    if stop(plan_lib.REST if is_last else least_work(duration, len(worth))):
+      return _stopped(problem, front, place, worth)
+    if not is_last:
+      phase = np.floor(problem.phase * _PHASES)
+      cells = np.stack([place, front.commands, phase])
       kept = _select(cells, front.returns, worth, beams)
       problem.copy_state(front.branch(kept))
   rest = problem.rest()
   return front.solution(rest.alive, rest.reached, knots)
+
+
+def least_work(knot_duration: float, worlds: int) -> float:
+  """Returns the seconds to simulate in a knot after which a search is stopped.
+
+  Few worlds rest then: that counts as the part of a knot that takes as long.
+
+  Args:
+    knot_duration: seconds.
+    worlds: number of worlds of the search.
+  """
+  moved = min(1.0, _RESTED / worlds)
+  return knot_duration + plan_lib.REST * (_OVERHEAD + (1 - _OVERHEAD) * moved)
+
+
+def _stopped(
+  problem: problem_lib.ReachingProblem,
+  front: _Front,
+  place: np.ndarray,
+  worth: np.ndarray,
+) -> Solution:
+  """Returns the plans of a search that ends after a knot.
+
+  The best may be in the air over a gap. So robots of every place rest, and the
+  plans of those who then stand come first.
+
+  Args:
+    problem: of the search.
+    front: its plans so far.
+    place: cells of the robots along the track, [W].
+    worth: mask of the plans that count, [W].
+  """
+  rested = np.zeros_like(worth)
+  rested[_select(place[None], front.returns, worth, _RESTED)] = True
+  rest = problem.rest(rested)
+  stands = rest.alive & rested
+  return front.solution(
+    stands, rest.reached, problem.knots, problem.rest_mode
+  )._replace(episodes=front.rollouts)
 
 
 def _nearest(

@@ -187,7 +187,8 @@ class PlanResult:
       after them, world metres, [T, 3].
     seconds: from the first command to the end of the rest.
     final_speed: of the trunk, m/s.
-    solve_seconds: from the first roll-out to the last.
+    solve_seconds: from the first roll-out to the last; with a budget of seconds
+      without the compilation of worlds in between.
     rollouts: number of plans, or parts of plans, that were rolled out.
     control_steps: sum over all worlds of searches and replays.
     origin: planner, policy and the like, JSON values.

@@ -20,6 +20,7 @@ from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import episodes
 from dmc_multimode.suite.reaching import problem as reaching
+from dmc_multimode.suite.reaching import sensing
 from dmc_multimode.utils import durations
 
 _BLOCK = 16  # Batch sizes of the policy are multiples of this.
@@ -122,6 +123,7 @@ class ReachingProblem:
     num_worlds: int,
     num_threads: int = 0,
     pushes: Sequence[pushes_lib.Push] = (),
+    scan_errors: sensing.ScanErrors = sensing.EXACT,
   ):
     """Compiles the worlds and puts the robots at the start.
 
@@ -132,6 +134,7 @@ class ReachingProblem:
       num_worlds: B.
       num_threads: of the physics; 0 takes every core.
       pushes: applied to all robots at knots, after the mode is chosen.
+      scan_errors: of the ground in `observe`.
 
     Raises:
       ValueError: a knot is not a whole number of control steps, the goal is not
@@ -152,6 +155,10 @@ class ReachingProblem:
       num_threads,
       auto_reset=False,
     )
+    self._observer = sensing.Observer(policy, self._worlds.core, scan_errors)
+    self._random_state = np.random.RandomState(config.seed)
+    shift = scan_errors.shift
+    self._shift = self._random_state.uniform(-shift, shift, num_worlds)
     self.knot_steps = reaching.knot_steps(config, self.control_timestep)
     self._pushes = pushes_lib.by_knot(
       pushes, config.knots, config.knot_duration
@@ -185,6 +192,20 @@ class ReachingProblem:
     return self.config.knots - self._knot
 
   @property
+  def rest_mode(self) -> int:
+    """Index of the mode in which robots rest."""
+    return plan_lib.rest_mode(self.mode_set)
+
+  @property
+  def plan_steps(self) -> int:
+    """Control steps of a plan from the current start, and of the rest."""
+    return self.knots * self.knot_steps + self._rest_steps
+
+  @property
+  def _rest_steps(self) -> int:
+    return int(durations.steps(plan_lib.REST, self.control_timestep))
+
+  @property
   def alive(self) -> np.ndarray:
     """Mask of the robots that have never fallen, [B]."""
     return self._alive.copy()
@@ -193,6 +214,25 @@ class ReachingProblem:
   def phase(self) -> np.ndarray:
     """Phases of the running modes, in [0, 1], [B]."""
     return self._worlds.core.tracker.state.phase.copy()
+
+  @property
+  def layout(self) -> sensing.Layout:
+    """(name, size) of the parts of what `observe` returns, in order."""
+    return self._observer.layout
+
+  def observe(self) -> np.ndarray:
+    """Returns the observations of the `reach_*` tasks, float32 [B, D]."""
+    left = np.full(self.num_worlds, self.remaining / self.config.knots)
+    return self._observer.observe(
+      self._observation,
+      self._worlds.qpos[:, :3],
+      sensing.Situation(self._goal, left, self._shift),
+      self._random_state,
+    )
+
+  def obeyed(self) -> np.ndarray:
+    """Returns the modes that can begin at once; see `Observer.obeyed`."""
+    return self._observer.obeyed()
 
   def begin_at(self, other: 'ReachingProblem') -> None:
     """Makes the state of another problem the start of this one.
@@ -243,21 +283,25 @@ class ReachingProblem:
       reward += np.where(self._alive, worth, 0.0)
     return Progress(reward, np.array(path), self._alive.copy())
 
-  def rest(self) -> Rest:
+  def rest(self, moved: np.ndarray | None = None) -> Rest:
     """Commands all robots to rest, after the last knot.
 
-    Robots that are too far from the goal to stand there in time are not moved;
-    they have not reached it.
+    Robots that are not moved have not reached the goal.
+
+    Args:
+      moved: mask of the robots that move, [B]; by default those that are not
+        too far from the goal to stand there in time.
     """
     worlds = self._worlds
-    mode = plan_lib.rest_mode(self.mode_set)
-    self._observation = worlds.command(np.full(self.num_worlds, mode))
+    resting = np.full(self.num_worlds, self.rest_mode)
+    self._observation = worlds.command(resting)
     distance = np.abs(worlds.qpos[:, 0] - self._goal[0])
     near = self._alive & (distance <= _IN_REACH)
     if self.num_worlds == 1:  # A replay shows how it ends.
       near[:] = self._alive
-    steps = int(durations.steps(plan_lib.REST, self.control_timestep))
-    path = np.array([self._step(near) for _ in range(steps)])
+    if moved is not None:
+      near = self._alive & moved
+    path = np.array([self._step(near) for _ in range(self._rest_steps)])
     there = reaching.reached(
       worlds.qpos, worlds.qvel, worlds.core.terrain, self._goal
     )

@@ -8,6 +8,7 @@ again. If the rest of the former plan still succeeds in simulation, it is kept.
 import contextlib
 import dataclasses
 import os
+import time
 from typing import Any, Iterator, Mapping, Sequence
 
 import numpy as np
@@ -18,6 +19,7 @@ from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.planner import solver as solver_lib
+from dmc_multimode.planner import steering
 from dmc_multimode.suite.reaching import environment as reaching_env
 from dmc_multimode.suite.reaching import problem as reaching
 
@@ -33,8 +35,12 @@ def solve(
   replan_every: int = 0,
   num_threads: int = 0,
   quiet: bool = False,
+  seconds: float | None = None,
 ) -> plan_lib.PlanResult:
   """Plans across a track, once or, with `replan_every`, again on the way.
+
+  Without a budget of `seconds` the result depends on nothing but the arguments;
+  with one also on the speed of the machine.
 
   Args:
     policy: name of a shipped policy, a folder, or a policy object.
@@ -42,20 +48,27 @@ def solve(
     seed: of the track, if it is random, and of the initial state's noise.
     problem: goal, knots and seed; by default those of the track, and `seed`.
     sizes: of the track, metres, where they are not its defaults.
-    planner: a name from `solver.PLANNERS`, or a configuration.
+    planner: a name from `solver.PLANNERS`, or a configuration. A selector sees
+      the robot and the ground at every knot, and does not plan.
     pushes: on the robot, at knots; unknown to the planner.
     replan_every: knots after which to plan again; 0 for never, an open loop.
     num_threads: of the physics; 0 takes every core.
     quiet: hides the progress bar.
+    seconds: wall-clock budget of each planning, checked at knots; compilation
+      of worlds does not count. A beam search that fails then begins anew with
+      twice the beams, up to 4096, until the time is up, whatever its
+      `attempts`, and is ended in mid-search if need be. None for no budget.
 
   Returns:
     The best plan found, successful or not.
 
   Raises:
-    FileNotFoundError, TypeError: `policy` is not a policy.
+    FileNotFoundError, TypeError: `policy` is not a policy, or it has no
+      selector.
     ValueError: the track, a size or the planner is unknown, the goal is not
-      over the track, a knot is not a whole number of control steps, or a push
-      is not at a knot.
+      over the track, a knot is not a whole number of control steps, a push is
+      not at a knot, or `seconds` is not positive and finite, or not for a beam
+      search.
   """
   import torch  # Late: reading a plan's file needs no torch.
 
@@ -67,6 +80,7 @@ def solve(
       )
     planner = solver_lib.PLANNERS[planner]
   _check_replanning(replan_every)
+  solver_lib.check_seconds(seconds, planner)
   terrain = track.make(arena, sizes=sizes).generate(np.random.RandomState(seed))
   problem = problem or reaching.problem(arena, terrain, seed)
   pushes_lib.by_knot(pushes, problem.knots, problem.knot_duration)
@@ -76,13 +90,22 @@ def solve(
   }
   if isinstance(policy, (str, os.PathLike)):
     origin['policy'] = os.fspath(policy)
-  policy = reaching_env.load_policy(policy)
   # Batches are small: the physics has the cores.
   threads = torch.get_num_threads()
   torch.set_num_threads(1)
   try:
+    if isinstance(planner, steering.SteeringConfig):
+      course = plan_lib.Course(arena, dict(sizes or {}), seed, tuple(pushes))
+      found = _steer(policy, course, problem, planner)
+      return dataclasses.replace(found, origin={**found.origin, **origin})
     solver = solver_lib.Solver(
-      policy, arena, problem, planner, num_threads, sizes
+      reaching_env.load_policy(policy),
+      arena,
+      problem,
+      planner,
+      num_threads,
+      sizes,
+      seconds,
     )
     with _progress(planner, quiet) as report:
       found = follow(solver, pushes, replan_every, report)
@@ -91,9 +114,40 @@ def solve(
   return dataclasses.replace(found, origin=origin)
 
 
+def _steer(
+  policy: str | os.PathLike[str] | reaching.Policy,
+  course: plan_lib.Course,
+  problem: reaching.ReachingConfig,
+  config: steering.SteeringConfig,
+) -> plan_lib.PlanResult:
+  """Returns what a selector commands across a track, as a plan."""
+  selector = steering.load(config, policy)
+  robot = problem_lib.ReachingProblem(
+    reaching_env.load_policy(policy),
+    track.make(course.arena, sizes=course.sizes),
+    reaching.in_knots(problem, selector.knot_duration),
+    1,
+    1,
+    course.pushes,
+    config.scan_errors,
+  )
+  began = time.perf_counter()
+  steered = steering.steer(robot, selector)
+  found = solver_lib.pack(
+    robot,
+    course,
+    steered.modes,
+    steered.trials,
+    time.perf_counter() - began,
+    1,
+    robot.control_steps,
+  )
+  return dataclasses.replace(found, origin=steering.details(steered))
+
+
 @contextlib.contextmanager
 def _progress(
-  planner: solver_lib.PlannerConfig, quiet: bool
+  planner: solver_lib.SearchConfig, quiet: bool
 ) -> Iterator[solver_lib.Report]:
   """Yields a `Report` that shows a progress bar, reset for every search."""
   unit = 'knot' if solver_lib.name_of(planner) == 'beam' else 'episode'

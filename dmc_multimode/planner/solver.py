@@ -1,24 +1,31 @@
 """Solver: a planner on a track and goal, with trials of its plans."""
 
+import contextlib
 import time
-from typing import Callable, Mapping, NamedTuple, Sequence
+from typing import Callable, Iterable, Iterator, Mapping, NamedTuple, Sequence
 
 import numpy as np
 
 from dmc_multimode.arenas import track as track_lib
 from dmc_multimode.planner import beam_search
+from dmc_multimode.planner import budget as budget_lib
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.planner import q_learning
+from dmc_multimode.planner import steering
 from dmc_multimode.suite.reaching import problem as reaching
+from dmc_multimode.utils import config as config_lib
 
-PlannerConfig = beam_search.BeamConfig | q_learning.QLearningConfig
+SearchConfig = beam_search.BeamConfig | q_learning.QLearningConfig
+PlannerConfig = SearchConfig | steering.SteeringConfig
 PLANNERS: Mapping[str, PlannerConfig] = {  # By name, with their defaults.
   'beam': beam_search.BeamConfig(),
   'q_learning': q_learning.QLearningConfig(),
+  'selector': steering.SteeringConfig(),
 }
 _CANDIDATES = 10  # Plans tried in one world until one succeeds.
+_CAUTION = 1.25  # Time reserved for a replay, relative to the estimate.
 
 
 class Status(NamedTuple):
@@ -43,14 +50,38 @@ Report = Callable[[Status], None]
 
 def name_of(config: PlannerConfig) -> str:
   """Returns the planner's name in `PLANNERS`."""
-  return 'beam' if isinstance(config, beam_search.BeamConfig) else 'q_learning'
+  return next(
+    name for name, other in PLANNERS.items() if type(other) is type(config)
+  )
 
 
-def num_worlds(config: PlannerConfig, num_modes: int) -> int:
+def num_worlds(config: SearchConfig, num_modes: int) -> int:
   """Returns the number of worlds of a planner."""
   if isinstance(config, beam_search.BeamConfig):
     return config.beams * num_modes
   return config.trials
+
+
+@config_lib.dataclass
+class _Limit:
+  """Checked value of a budget, in seconds."""
+
+  seconds: config_lib.Positive | None
+
+
+def check_seconds(seconds: float | None, planner: PlannerConfig) -> None:
+  """Raises ValueError for a budget that `Solver` would not take.
+
+  Args:
+    seconds: positive and finite, or None.
+    planner: the beam search, unless `seconds` is None.
+  """
+  _Limit(seconds)
+  if seconds is not None and not isinstance(planner, beam_search.BeamConfig):
+    raise ValueError(
+      f'seconds is a budget of the beam search, not of {name_of(planner)}, '
+      'which ends with its episodes.'
+    )
 
 
 class _Tried(NamedTuple):
@@ -73,9 +104,11 @@ class Solver:
     policy: reaching.Policy,
     arena: str,
     config: reaching.ReachingConfig,
-    planner: PlannerConfig,
+    planner: SearchConfig,
     num_threads: int = 0,
     sizes: Mapping[str, float] | None = None,
+    seconds: float | None = None,
+    clock: Callable[[], float] = time.perf_counter,
   ):
     """Compiles the worlds.
 
@@ -86,22 +119,32 @@ class Solver:
       planner: configuration, whose class selects the planner.
       num_threads: of the physics; 0 takes every core.
       sizes: of the track, metres, where they are not its defaults.
+      seconds: wall-clock budget of every `solve`; None for none.
+      clock: returns the current wall-clock time, seconds.
 
     Raises:
-      ValueError: the track is unknown, the goal is not over it, or a knot is
-        not a whole number of control steps.
+      ValueError: the track is unknown, the goal is not over it, a knot is not a
+        whole number of control steps, or the planner takes no such budget.
     """
+    check_seconds(seconds, planner)
     self._policy = policy
+    self._planner, self._seconds, self._clock = planner, seconds, clock
     self._course = plan_lib.Course(arena, dict(sizes or {}), config.seed)
     self._config, self._num_threads = config, num_threads
-    self._searches = (
-      planner.escalation()
-      if isinstance(planner, beam_search.BeamConfig)
-      else [planner]
-    )
-    self._problems: dict[PlannerConfig, problem_lib.ReachingProblem] = {}
-    self._problem(self._searches[0])
+    self._problems: dict[SearchConfig, problem_lib.ReachingProblem] = {}
+    self._problem(next(iter(self._searches())))
     self._alone = self.make_robot()
+    # Wall-clock seconds a control step of the single world, and a simulated
+    # second of a search's world, as last measured.
+    self._pace = self._search_pace = 0.0
+
+  def _searches(self) -> Iterable[SearchConfig]:
+    """Returns the configurations of the searches, each for one attempt."""
+    if not isinstance(self._planner, beam_search.BeamConfig):
+      return [self._planner]
+    if self._seconds is None:
+      return self._planner.escalation()
+    return self._planner.doubling()
 
   def make_robot(
     self, pushes: Sequence[pushes_lib.Push] = ()
@@ -130,6 +173,11 @@ class Solver:
   ) -> plan_lib.PlanResult:
     """Returns the best plan; the search ends when one succeeds.
 
+    With a budget it also ends in time for a last replay, in mid-search if need
+    be, but not before one plan has been tried. The budget is checked at knots.
+    Compilation of worlds does not count, nor is it part of the result's
+    `solve_seconds` then.
+
     Args:
       report: progress of the searches.
       robot: world whose state is the start, with its remaining knots; the start
@@ -138,20 +186,30 @@ class Solver:
         returned without a search.
     """
     robot = robot or self.make_robot()
-    began, steps = time.perf_counter(), self._control_steps()
+    budget, steps = (
+      budget_lib.Budget(self._seconds, self._clock),
+      self._control_steps(),
+    )
     self._alone.begin_at(robot)
+    if budget.limited and not self._pace:
+      with self._timing():
+        self._alone.run_knot(np.array([self._alone.rest_mode]))
     tried, rollouts = [] if guess is None else [self._try(guess)], 0
-    for planner in self._searches:
-      if tried and tried[-1].trial.success[0]:
+    for planner in self._searches():
+      worlds = num_worlds(planner, len(self._policy.mode_set))
+      least = beam_search.least_work(self._config.knot_duration, worlds)
+      if tried and (
+        tried[-1].trial.success[0] or self._is_late(budget, worlds * least)
+      ):
         break
-      solution = self._search(planner, robot, report)
+      solution = self._search(planner, robot, report, budget)
       rollouts += solution.episodes
-      tried += self._try_some(solution)
+      tried += self._try_some(solution, budget)
     indices, trial = max(tried, key=_Tried.worth)
     return self.result(
       indices,
       trial,
-      time.perf_counter() - began,
+      budget.spent,
       rollouts,
       self._control_steps() - steps,
     )
@@ -173,23 +231,17 @@ class Solver:
       solve_seconds, rollouts, control_steps: see `plan.PlanResult`.
       pushes: on the robot.
     """
-    return plan_lib.PlanResult(
-      plan_lib.from_indices(
-        indices, self._alone.mode_set.names, self._config.knot_duration
-      ),
+    return pack(
+      self._alone,
       self._course._replace(pushes=tuple(pushes)),
-      self._config.goal,
-      bool(trial.success[0]),
-      float(trial.returns[0]),
-      trial.paths[0],
-      len(trial.paths[0]) * self._alone.control_timestep,
-      float(trial.speed[0]),
+      indices,
+      trial,
       solve_seconds,
       rollouts,
       control_steps,
     )
 
-  def _problem(self, planner: PlannerConfig) -> problem_lib.ReachingProblem:
+  def _problem(self, planner: SearchConfig) -> problem_lib.ReachingProblem:
     """Returns the worlds of a planner, compiled in the first call."""
     if planner not in self._problems:
       self._problems[planner] = problem_lib.ReachingProblem(
@@ -208,12 +260,14 @@ class Solver:
 
   def _search(
     self,
-    planner: PlannerConfig,
+    planner: SearchConfig,
     robot: problem_lib.ReachingProblem,
     report: Report,
+    budget: budget_lib.Budget,
   ) -> beam_search.Solution:
     """Runs one search from the robot's state."""
-    problem = self._problem(planner)
+    with budget.pause():
+      problem = self._problem(planner)
     problem.begin_at(robot)
     began = (self._config.knots - problem.knots) * self._config.knot_duration
     if isinstance(planner, beam_search.BeamConfig):
@@ -224,18 +278,99 @@ class Solver:
       Status(f'{name} from {began:.2f} s', row[0], total, *row[1:])
     )
     if isinstance(planner, beam_search.BeamConfig):
-      return beam_search.beam_search(problem, planner, tell)
+      stop = self._stopper(problem.num_worlds, budget)
+      return beam_search.beam_search(problem, planner, tell, stop)
     return q_learning.q_learning(problem, planner, tell)
 
-  def _try_some(self, solution: beam_search.Solution) -> list[_Tried]:
-    """Replays the best plans in one world until one succeeds."""
+  def _stopper(
+    self, worlds: int, budget: budget_lib.Budget
+  ) -> Callable[[float], bool]:
+    """Returns the `stop` of a beam search that begins now; measures its pace.
+
+    Args:
+      worlds: number of worlds of the search.
+      budget: of the planning.
+    """
+    last = budget.spent
+
+    def stop(ahead: float) -> bool:
+      nonlocal last
+      before, last = last, budget.spent
+      simulated = worlds * self._config.knot_duration
+      self._search_pace = (last - before) / simulated
+      return self._is_late(budget, worlds * ahead)
+
+    return stop
+
+  def _try_some(
+    self, solution: beam_search.Solution, budget: budget_lib.Budget
+  ) -> list[_Tried]:
+    """Replays the best plans in one world until one succeeds.
+
+    The search has left time for the first; others have to be in time.
+    """
     tried: list[_Tried] = []
     for indices in solution.plans[:_CANDIDATES]:
       tried.append(self._try(indices))
-      if tried[-1].trial.success[0]:
+      if tried[-1].trial.success[0] or self._is_late(budget):
         break
     return tried
 
   def _try(self, indices: np.ndarray) -> _Tried:
     """Replays a plan in a single separate world."""
-    return _Tried(indices, self._alone.rollout(indices[None]))
+    with self._timing():
+      return _Tried(indices, self._alone.rollout(indices[None]))
+
+  def _is_late(self, budget: budget_lib.Budget, work: float = 0.0) -> bool:
+    """Returns whether the time left is too short for a replay.
+
+    Args:
+      budget: of the planning.
+      work: of a search before it, simulated seconds summed over its worlds.
+    """
+    replay = _CAUTION * self._pace * self._alone.plan_steps
+    return budget.left < self._search_pace * work + replay
+
+  @contextlib.contextmanager
+  def _timing(self) -> Iterator[None]:
+    """Measures the single world's pace meanwhile."""
+    began, steps = self._clock(), self._alone.control_steps
+    yield
+    steps = self._alone.control_steps - steps
+    if steps:  # A robot that has fallen takes none, and no time.
+      self._pace = (self._clock() - began) / steps
+
+
+def pack(
+  robot: problem_lib.ReachingProblem,
+  course: plan_lib.Course,
+  indices: Sequence[int] | np.ndarray,
+  trial: problem_lib.Trials,
+  solve_seconds: float,
+  rollouts: int,
+  control_steps: int,
+) -> plan_lib.PlanResult:
+  """Packs a plan and its trial into a `PlanResult`.
+
+  Args:
+    robot: of the trial.
+    course: track and pushes.
+    indices: of the modes, [K].
+    trial: in one world.
+    solve_seconds, rollouts, control_steps: see `plan.PlanResult`.
+  """
+  return plan_lib.PlanResult(
+    plan_lib.from_indices(
+      indices, robot.mode_set.names, robot.config.knot_duration
+    ),
+    course,
+    robot.config.goal,
+    bool(trial.success[0]),
+    float(trial.returns[0]),
+    trial.paths[0],
+    len(trial.paths[0]) * robot.control_timestep,
+    float(trial.speed[0]),
+    solve_seconds,
+    rollouts,
+    control_steps,
+  )

@@ -4,7 +4,7 @@ Engines and policies take what callers hand over through these functions, so
 that nothing behind them broadcasts, cuts or rounds it silently.
 """
 
-from typing import Any
+from typing import Any, Mapping
 
 import numpy as np
 
@@ -100,3 +100,24 @@ def check_worlds(is_valid: np.ndarray, name: str) -> None:
   more = ', ...' if len(worlds) > _MOST_NAMED else ''
   noun = 'world' if len(worlds) == 1 else 'worlds'
   raise ValueError(f'{name} of {noun} {listed}{more} must be finite')
+
+
+def generator_state(
+  random_state: np.random.RandomState,
+) -> dict[str, np.ndarray]:
+  """Returns the state of a generator as arrays, for `restore_generator`."""
+  _, keys, position, has_gauss, gauss = random_state.get_state(legacy=True)
+  return {
+    'keys': np.asarray(keys),
+    'rest': np.array([position, has_gauss, gauss], dtype=np.float64),
+  }
+
+
+def restore_generator(
+  random_state: np.random.RandomState, state: Mapping[str, np.ndarray]
+) -> None:
+  """Restores a `generator_state`; raises KeyError for another."""
+  position, has_gauss, gauss = state['rest']
+  random_state.set_state(
+    ('MT19937', state['keys'], int(position), int(has_gauss), gauss)
+  )

@@ -25,6 +25,8 @@ def view(
   threads: int = 1,
   native: bool = False,
   disturbed: Mapping[str, float] | None = None,
+  selector: str | os.PathLike[str] | None = None,
+  difficulty: float = 0.5,
 ) -> None:
   """Serves a policy that people can command, until it is interrupted.
 
@@ -37,9 +39,12 @@ def view(
     threads: of the planner; the robot needs a core.
     native: opens dm_control's viewer instead of a page.
     disturbed: arguments of `events.fixed`, which fix the robot's disturbances.
+    selector: folder of a selector, which then commands the robot; by default
+      the one beside the policy, if any, which only stands by.
+    difficulty: of the endless track, 0 to 1.
 
   Raises:
-    FileNotFoundError: there is no such policy.
+    FileNotFoundError: there is no such policy or selector.
     ModuleNotFoundError: the page's extra is not installed.
     OSError: there is no display for a window, or the port is in use.
     ValueError: an argument is out of bounds, or no address of this machine.
@@ -53,17 +58,26 @@ def view(
   import torch
 
   from dmc_multimode import pretrained
+  from dmc_multimode.planner import steering
   from dmc_multimode.suite.imitation import events
   from dmc_multimode.viewer import session as session_lib
 
   torch.set_num_threads(1)  # Batches are small.
+  loaded = pretrained.load(policy)
+  chosen = steering.SteeringConfig('' if selector is None else str(selector))
+  pilot = None
+  if selector is not None or steering.is_beside(policy):
+    pilot = steering.load(chosen, policy)
   session = session_lib.LiveSession(
-    pretrained.load(policy),
+    loaded,
     arena,
     seed,
     threads=threads,
     disturbed=events.fixed(**(disturbed or {})),
+    selector=pilot,
+    difficulty=difficulty,
   )
+  session.set_autopilot(selector is not None)
   with contextlib.closing(session), contextlib.suppress(KeyboardInterrupt):
     if native:
       from dmc_multimode.viewer import native as window

@@ -11,11 +11,13 @@ from typing import NamedTuple, Sequence
 import numpy as np
 
 from dmc_multimode import pretrained
+from dmc_multimode.arenas import layouts
 from dmc_multimode.arenas import track
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import plan as plan_lib
+from dmc_multimode.planner import selector as selector_lib
 from dmc_multimode.planner import solver
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import config as task_config
@@ -24,10 +26,13 @@ from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.suite.reaching import problem as reaching
 from dmc_multimode.utils import durations
+from dmc_multimode.viewer import autopilot as autopilot_lib
 from dmc_multimode.viewer import rollout
 
 CLOCK_RATES = (0.5, 3.0)  # The slowest and the fastest.
 PUSH_SPEEDS = (0.0, 3.0)  # m/s.
+ENDLESS = 'endless'  # An obstacle course that grows ahead of the robot.
+ARENAS = (*layouts.NAMES, ENDLESS)
 SPEED_STEP = 0.1  # Of the share of a gait's speed that is commanded.
 _SEGMENTS = 32  # Segments of a track: bounds the number of ledges.
 _LIE = 1.2  # Seconds from a fall to the reset.
@@ -109,8 +114,9 @@ class LiveSession:
 
   Attributes:
     robot: roll-out of the policy; a new one for every track.
-    arena: name of the track.
+    arena: name of the track, one of `ARENAS`.
     seed: of the track, if it is random, and of the initial state's noise.
+    autopilot: whether the selector commands the robot.
     clock_rate: of the modes, 1 being their own.
     speed: share of the speed of gaits, by a blend with the mode of rest.
     notice: see `LiveState`.
@@ -124,6 +130,8 @@ class LiveSession:
     planner: beam_search.BeamConfig | None = None,
     threads: int = 1,
     disturbed: events.TrainingEvents = events.NONE,
+    selector: selector_lib.Selector | None = None,
+    difficulty: float = 0.5,
   ):
     """Compiles the model of the track.
 
@@ -134,17 +142,24 @@ class LiveSession:
       planner: configuration of the planner.
       threads: of the planner's physics.
       disturbed: result of `events.fixed`; plans are made for the nominal robot.
+      selector: for the autopilot.
+      difficulty: of the endless track, 0 to 1.
 
     Raises:
-      ValueError: the track is unknown, or the seed is negative.
+      ValueError: the track is unknown, a number out of bounds, or the selector
+        of another policy.
     """
     self._policy, self._planner = policy, planner or beam_search.BeamConfig()
     self._mode_set, self._threads = policy.mode_set, threads
     self._slower = _slower_gaits(policy.mode_set)
     self._gait_of = {blend: gait for (gait, _), blend in self._slower.items()}
     self.speed = 1.0
+    self._replayed: plan_lib.ModePlan | None = None
     self._search: PlanSearch | None = None
     self._disturbed = disturbed
+    self._selector, self._difficulty = selector, difficulty
+    self._pilot: autopilot_lib.Autopilot | None = None
+    self.autopilot = False
     self.clock_rate = 1.0
     self.set_arena(arena, seed)
 
@@ -165,7 +180,9 @@ class LiveSession:
       mode_set_lib.with_blends(self._mode_set, [*self._gait_of]),
       # The same initial state as in a search.
       episodes.ScheduledEpisodes(schedule_lib.single(np.zeros(1))),
-      track.make(name, _SEGMENTS),
+      track.endless(self._difficulty)
+      if name == ENDLESS
+      else track.make(name, _SEGMENTS),
       task_config.evaluated(
         self._policy.config,
         limits=terminations.NO_LIMITS,
@@ -178,7 +195,31 @@ class LiveSession:
     self.close()
     self._plan: plan_lib.PlanResult | None = None
     self.robot.start()
+    if self._selector:
+      self._pilot = autopilot_lib.Autopilot(
+        self._selector, self._policy, self.robot, self._goal()
+      )
     self._start()
+
+  def _goal(self) -> tuple[float, float, float] | None:
+    """Returns the track's goal, metres; None where it has no end."""
+    if self.arena in (ENDLESS, 'flat'):
+      return None
+    terrain = self.robot.task.root_entity.terrain
+    return reaching.problem(self.arena, terrain, self.seed).goal
+
+  def set_autopilot(self, on: bool) -> None:
+    """Hands the robot over to the selector, or takes it back.
+
+    Raises:
+      ValueError: there is no selector.
+    """
+    if on and self._pilot is None:
+      raise ValueError('There is no selector: start with --selector=FOLDER.')
+    self.autopilot = on
+    if on:
+      self._replayed = None
+      self.set_clock_rate(1.0)
 
   def reset(self) -> None:
     """Resets the robot to the start of the track."""
@@ -188,7 +229,7 @@ class LiveSession:
   def _start(self, notice: str = '') -> None:
     """Clears the state of before a reset."""
     self.notice = notice
-    self._replayed: plan_lib.ModePlan | None = None
+    self._replayed = None
     self._lying, self._last = 0, self.robot.here()
     self.set_clock_rate(self.clock_rate)
 
@@ -202,7 +243,7 @@ class LiveSession:
         and the track has no segment left.
     """
     index = self._mode_set.index(mode)
-    self._replayed, self.notice = None, ''
+    self._replayed, self.notice, self.autopilot = None, '', False
     slower = self._slower.get((mode, round(self.speed, 2)))
     if slower:
       index = self.robot.task.mode_set.index(slower)
@@ -265,6 +306,8 @@ class LiveSession:
     """
     if self._search:
       raise ValueError('A plan is being searched for already.')
+    if self.arena == ENDLESS:
+      raise ValueError('An endless track has no goal to plan to.')
     terrain = self.robot.task.root_entity.terrain
     problem = reaching.problem(self.arena, terrain, self.seed)
     self._search = PlanSearch(
@@ -280,14 +323,16 @@ class LiveSession:
     """
     if self._plan is None:
       raise ValueError('There is no plan for this track yet.')
-    self.clock_rate = 1.0
+    self.clock_rate, self.autopilot = 1.0, False
     self.reset()
     self._replayed = self._plan.plan
 
   def step(self) -> LiveState:
     """Advances by one control step; resets a robot some time after a fall."""
     self._take_plan()
+    self._extend_track()
     self._follow_plan()
+    self._follow_pilot()
     if not self.robot.over:
       self._last = self.robot.step()
     if self.robot.over:  # Without limits: it diverged.
@@ -334,6 +379,24 @@ class LiveSession:
     self.notice = (
       f'A plan that {fate}, found in {self._plan.solve_seconds:.1f} s.'
     )
+
+  def _extend_track(self) -> None:
+    """Puts obstacles ahead of the robot on an endless track."""
+    arena = self.robot.task.root_entity
+    if isinstance(arena, track.EndlessTrack) and not self.robot.over:
+      core, x = self.robot.task.core, float(self.robot.position[0])
+      terrain = arena.extended(
+        core.terrain, x, self.robot.environment.random_state
+      )
+      if terrain is not None:
+        self.robot.task.set_terrain(self.robot.physics, terrain)
+
+  def _follow_pilot(self) -> None:
+    """Issues the selector's mode."""
+    if self.autopilot and self._pilot and not (self._lying or self.robot.over):
+      mode = self._pilot.choose()
+      if mode is not None:
+        self.robot.command(mode)
 
   def _follow_plan(self) -> None:
     """Issues the active plan's mode for the current knot."""

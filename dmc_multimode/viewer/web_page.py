@@ -14,7 +14,6 @@ import numpy as np
 import viser
 from viser import uplot
 
-from dmc_multimode.arenas import layouts
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.viewer import session as session_lib
 from dmc_multimode.viewer import web_scene
@@ -182,7 +181,7 @@ class Page:
     """Adds the choice of track, and plans."""
     gui, session = self._server.gui, self._session
     self._arena = gui.add_dropdown(
-      'track', layouts.NAMES, initial_value=session.arena
+      'track', session_lib.ARENAS, initial_value=session.arena
     )
     self._seed = gui.add_number(
       'seed', initial_value=session.seed, min=0, step=1
@@ -195,8 +194,12 @@ class Page:
         'reset': ('R', session.reset),
         'plan': ('P', session.plan),
         'replay': ('X', session.replay),
+        'autopilot': ('A', self._toggle_pilot),
       },
     )
+
+  def _toggle_pilot(self) -> None:
+    self._session.set_autopilot(not self._session.autopilot)
 
   def _set_arena(self) -> None:
     self._session.set_arena(self._arena.value, int(self._seed.value))
@@ -242,7 +245,7 @@ class Page:
   def _show_status(self, state: session_lib.LiveState) -> None:
     step, session = state.step, self._session
     lines = [
-      f'<b>{step.mode}</b>{" (plan)" if state.replaying else ""}',
+      f'<b>{step.mode}</b>{_source(state, session)}',
       f'trunk z {step.position[2]:.2f} m, reward {step.reward:.2f}, '
       f'{step.speed:.2f} m/s',
       html.escape(state.notice),
@@ -265,6 +268,15 @@ class Page:
       self._rate.value = session.clock_rate
     if self._arena.value != session.arena:
       self._arena.value = session.arena
+
+
+def _source(
+  state: session_lib.LiveState, session: session_lib.LiveSession
+) -> str:
+  """Returns who commands, unless it is a person."""
+  if session.autopilot:
+    return ' (autopilot)'
+  return ' (plan)' if state.replaying else ''
 
 
 def _describe(plan: plan_lib.ModePlan) -> str:

@@ -246,3 +246,23 @@ def test_robots_and_a_task_of_dm_control(
     assert abs(env.task.target_position(env.physics)[0]) < arena.size[0]
   np.testing.assert_allclose(heights, heights[1], rtol=0.05)
   assert (edges[0] != edges[2]) == (name == 'parkour')
+
+
+def test_endless_track_grows_ahead_and_stays_where_it_is_seen() -> None:
+  arena, random_state = track.endless(1.0), np.random.RandomState(0)
+  terrain, grown = arena.generate(random_state), 0
+  for x in np.arange(0.0, 60.0, 0.5):
+    new = arena.extended(terrain, x, random_state)
+    if new is not None:
+      grown += 1
+      near = x + np.arange(-2.5, 3.9, 0.01)[None]
+      np.testing.assert_array_equal(
+        terrain_lib.profile(new, near), terrain_lib.profile(terrain, near)
+      )
+      terrain = new
+    starts, ends = (field[0] for field in (terrain.starts, terrain.ends))
+    used = np.isfinite(starts)
+    assert (np.diff(starts[used]) > 0).all() and (ends > starts)[used].all()
+    assert (ends[used][:-1] <= starts[used][1:] + 1e-9).all()
+    assert starts[used][-1] > x + 3.9 and starts[0] < x - 15
+  assert grown > 6

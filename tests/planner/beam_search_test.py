@@ -10,79 +10,28 @@ from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.planner import q_learning
 from dmc_multimode.suite.reaching import problem as reaching
-
-# Metres that the modes move: none, a step, a jump.
-_STRIDES = np.array([0.0, 0.2, 0.5])
-_HOLE = (0.55, 0.85)  # Who is here at a knot has fallen.
-
-
-class _Toy:
-  """A point that steps and jumps along x; stands in for ReachingProblem."""
-
-  def __init__(self, num_worlds: int, knots: int = 6, goal: float = 1.6):
-    self.config = reaching.ReachingConfig((goal, 0.0, 0.5), knots)
-    self.num_worlds, self.num_modes = num_worlds, len(_STRIDES)
-    self.knots = knots
-    self.control_steps = 0
-    self.reset()
-
-  def reset(self) -> None:
-    self.x = np.zeros(self.num_worlds)
-    self.alive = np.ones(self.num_worlds, dtype=bool)
-
-  @property
-  def phase(self) -> np.ndarray:
-    return np.zeros(self.num_worlds)
-
-  def copy_state(self, sources: np.ndarray) -> None:
-    self.x, self.alive = self.x[sources], self.alive[sources]
-
-  def run_knot(self, modes: np.ndarray) -> problem_lib.Progress:
-    self.x = self.x + _STRIDES[modes]
-    self.alive &= ~((self.x > _HOLE[0]) & (self.x < _HOLE[1]))
-    self.control_steps += self.num_worlds
-    distance = np.abs(self.config.goal[0] - self.x)
-    path = np.zeros((1, self.num_worlds, 3))
-    path[0, :, 0] = self.x
-    return problem_lib.Progress(
-      np.where(self.alive, np.exp(-distance), 0.0),
-      path,
-      self.alive.copy(),
-    )
-
-  def rest(self) -> problem_lib.Rest:
-    return problem_lib.Rest(
-      np.zeros((1, self.num_worlds, 3)),
-      np.zeros(self.num_worlds),
-      self.alive.copy(),
-      self.alive & (np.abs(self.config.goal[0] - self.x) < 0.05),
-    )
+from tests.planner import toy as toy_lib
 
 
 def _optimum(knots: int) -> float:
   """The best return of all plans that reach the goal."""
   plans = np.array(list(itertools.product(range(3), repeat=knots)))
-  toy = _Toy(len(plans), knots)
+  toy = toy_lib.Toy(len(plans), knots)
   progress = [toy.run_knot(modes) for modes in plans.T]
   returns = np.sum([p.reward for p in progress], axis=0)
   return float(returns[toy.rest().reached].max())
 
 
-def _return_of(plan: np.ndarray) -> float:
-  toy = _Toy(1, len(plan))
-  return float(sum(toy.run_knot(mode[None]).reward[0] for mode in plan))
-
-
 @pytest.mark.parametrize('beams', [6, 24])
 def test_beam_search_finds_the_best_plan(beams: int) -> None:
-  toy: Any = _Toy(3 * beams)
+  toy: Any = toy_lib.Toy(3 * beams)
   reports: list[tuple[int, float, float]] = []
   found = beam_search.beam_search(
     toy, beam_search.BeamConfig(beams), lambda *row: reports.append(row)
   )
   assert found.success[0]
   assert found.returns[0] == pytest.approx(_optimum(6))
-  assert _return_of(found.plans[0]) == pytest.approx(found.returns[0])
+  assert toy_lib.return_of(found.plans[0]) == pytest.approx(found.returns[0])
   # Those that succeed come first, each part by return.
   assert (np.diff(found.success.astype(int)) <= 0).all()
   kept = found.returns[found.success]
@@ -93,14 +42,14 @@ def test_beam_search_finds_the_best_plan(beams: int) -> None:
 
 
 def test_a_single_beam_is_greedy_and_goes_too_far() -> None:
-  toy: Any = _Toy(3)
+  toy: Any = toy_lib.Toy(3)
   found = beam_search.beam_search(toy, beam_search.BeamConfig(1))
   assert not found.success.any()
-  assert _return_of(found.plans[0]) == pytest.approx(found.returns[0])
+  assert toy_lib.return_of(found.plans[0]) == pytest.approx(found.returns[0])
 
 
 def test_beam_search_where_all_fall() -> None:
-  toy: Any = _Toy(9)
+  toy: Any = toy_lib.Toy(9)
   fall = toy.run_knot
 
   def run_knot(modes: np.ndarray) -> problem_lib.Progress:
@@ -114,6 +63,93 @@ def test_beam_search_where_all_fall() -> None:
   found = beam_search.beam_search(toy, beam_search.BeamConfig(3))
   assert not found.success.any()
   assert found.plans.shape[1] == 6
+
+
+@pytest.mark.parametrize('last', [1, 3, 6])
+def test_a_search_that_is_stopped(last: int) -> None:
+  """The plans of the last front go on with rest."""
+  toy: Any = toy_lib.Toy(9)
+  toy.rest_mode = 2
+  ahead: list[float] = []
+
+  def stop(seconds: float) -> bool:
+    ahead.append(seconds)
+    return len(ahead) == last
+
+  found = beam_search.beam_search(toy, beam_search.BeamConfig(3), stop=stop)
+  # A knot and a rest, or the rest alone.
+  assert ahead == pytest.approx([1.8] * min(last, 5) + [1.5] * (last == 6))
+  assert found.episodes == 9 * last
+  assert found.plans.shape[1] == 6
+  assert (found.plans[:, last:] == 2).all()
+  returns = [toy_lib.return_of(plan[:last]) for plan in found.plans]
+  assert found.returns == pytest.approx(returns)
+  # Those that have not fallen come first, each part by return; they alone rest.
+  alive = [toy_lib.is_alive(plan[:last]) for plan in found.plans]
+  assert alive == sorted(alive, reverse=True)
+  kept = found.returns[alive]
+  assert (np.diff(kept) <= 0).all()
+  assert toy.control_steps == 9 * last + 5 * len(kept)
+
+
+def test_who_falls_in_the_rest_comes_after_those_who_stand() -> None:
+  """However far the jump was in the middle of which the search was stopped."""
+  toy: Any = toy_lib.Toy(9)
+  rest = toy.rest
+
+  def fall_where_far(moved: np.ndarray) -> problem_lib.Rest:
+    ended: problem_lib.Rest = rest(moved)
+    stands = ended.alive & (toy.x < 0.6)
+    return ended._replace(alive=stands, reached=np.zeros_like(stands))
+
+  toy.rest = fall_where_far
+  calls = iter([False, True])
+  found = beam_search.beam_search(
+    toy, beam_search.BeamConfig(3), stop=lambda ahead: next(calls)
+  )
+  ends = toy_lib.STRIDES[found.plans].sum(axis=1)
+  assert ends[0] == 0.5 and ends.max() == 1.0
+  stands = ends < 0.6
+  assert stands.tolist() == sorted(stands, reverse=True)
+
+
+def test_where_a_search_is_stopped_few_rest(
+  monkeypatch: pytest.MonkeyPatch,
+) -> None:
+  """The best of every place, so that work is little where worlds are many."""
+  monkeypatch.setattr(beam_search, '_RESTED', 3)
+  toy: Any = toy_lib.Toy(18)
+  calls = iter([False, True])
+  found = beam_search.beam_search(
+    toy, beam_search.BeamConfig(6), stop=lambda ahead: next(calls)
+  )
+  assert toy.control_steps == 18 * 2 + 3 * 5
+  ends = toy_lib.STRIDES[found.plans[:3]].sum(axis=1)
+  assert ends == pytest.approx([1.0, 0.5, 0.4])
+  work = beam_search.least_work
+  assert work(0.3, 3) == pytest.approx(0.3 + 1.5)
+  assert work(0.3, 6) == pytest.approx(0.3 + 1.5 * (0.25 + 0.75 / 2))
+
+
+def test_who_is_never_stopped_finds_the_same() -> None:
+  config = beam_search.BeamConfig(6)
+  toys: list[Any] = [toy_lib.Toy(18), toy_lib.Toy(18)]
+  found = beam_search.beam_search(toys[0], config)
+  again = beam_search.beam_search(toys[1], config, stop=lambda ahead: False)
+  for mine, theirs in zip(found, again, strict=True):
+    np.testing.assert_array_equal(mine, theirs)
+  assert toys[0].control_steps == toys[1].control_steps
+
+
+def test_beams_double() -> None:
+  """As often as they may, and then until they no longer fit into memory."""
+  config = beam_search.BeamConfig(24, attempts=3)
+  assert [each.beams for each in config.escalation()] == [24, 48, 96]
+  doubling = list(config.doubling())
+  assert doubling[:3] == config.escalation()
+  assert [each.beams for each in doubling] == [24 << i for i in range(8)]
+  many = beam_search.BeamConfig(5000)
+  assert [each.beams for each in many.doubling()] == [5000]
 
 
 def test_the_best_of_each_cell_are_kept_first() -> None:
@@ -136,7 +172,7 @@ def test_the_best_of_each_cell_are_kept_first() -> None:
 
 def test_plans_are_as_long_as_the_problem() -> None:
   """Which is shorter where the plan begins on the way."""
-  toy: Any = _Toy(9)
+  toy: Any = toy_lib.Toy(9)
   toy.config = reaching.ReachingConfig((1.6, 0.0, 0.5), 11)
   found = beam_search.beam_search(toy, beam_search.BeamConfig(3))
   assert found.plans.shape[1] == 6
@@ -146,7 +182,7 @@ def test_plans_are_as_long_as_the_problem() -> None:
 
 @pytest.mark.parametrize('seed', range(3))
 def test_q_learning_finds_a_plan(seed: int) -> None:
-  toy: Any = _Toy(5)
+  toy: Any = toy_lib.Toy(5)
   toy.config = reaching.ReachingConfig((1.6, 0.0, 0.5), 6, seed=seed)
   reports: list[tuple[int, float, float]] = []
   found = q_learning.q_learning(
@@ -154,9 +190,9 @@ def test_q_learning_finds_a_plan(seed: int) -> None:
   )
   assert found.success[0]
   assert found.returns[0] > 0.9 * _optimum(6)
-  assert _return_of(found.plans[0]) == pytest.approx(found.returns[0])
+  assert toy_lib.return_of(found.plans[0]) == pytest.approx(found.returns[0])
   assert found.episodes == len(found.plans) == 500
-  assert toy.control_steps == 500 * 6
+  assert toy.control_steps == 500 * toy.plan_steps
   assert [row[0] for row in reports] == list(range(1, 101))
 
 
@@ -215,7 +251,7 @@ def test_exploration_lasts(time: float, stays: float) -> None:
 
 
 def test_planners_reject_other_numbers_of_worlds() -> None:
-  toy: Any = _Toy(7)
+  toy: Any = toy_lib.Toy(7)
   with pytest.raises(ValueError, match='6 worlds, the problem has 7'):
     beam_search.beam_search(toy, beam_search.BeamConfig(2))
   with pytest.raises(ValueError, match='as many worlds, not 7'):

@@ -35,7 +35,7 @@ def policy() -> pretrained.Policy:
 
 @pytest.mark.parametrize('planner', _PLANNERS)
 def test_solve(
-  policy: pretrained.Policy, planner: solver_lib.PlannerConfig
+  policy: pretrained.Policy, planner: solver_lib.SearchConfig
 ) -> None:
   reports: list[solver_lib.Status] = []
   solver = solver_lib.Solver(policy, 'flat', _CONFIG, planner, num_threads=1)
@@ -135,6 +135,7 @@ def test_more_beams_find_what_fewer_do_not(
     problem: problem_lib.ReachingProblem,
     config: beam_search.BeamConfig,
     report: Any,
+    stop: Any,
   ) -> beam_search.Solution:
     assert problem.num_worlds == 3 * config.beams
     plans = [idle, walk] if config.beams == 4 else [idle, idle]

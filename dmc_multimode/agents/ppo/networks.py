@@ -78,7 +78,7 @@ def linears_of(network: nn.Module) -> list[nn.Linear]:
   return [m for m in network.modules() if isinstance(m, nn.Linear)]
 
 
-def _initialise(network: nn.Sequential, gain: float) -> None:
+def initialise(network: nn.Sequential, gain: float) -> None:
   """Makes weights orthogonal, those of the last layer with `gain`."""
   *hidden, output = linears_of(network)
   for linear in (*hidden, output):
@@ -137,7 +137,7 @@ class ActorCritic(nn.Module):
       torch.full((action_size,), float(np.log(initial_std)))
     )
     for network, gain in zip(mlps, (0.01, 1.0), strict=True):
-      _initialise(network, gain)
+      initialise(network, gain)
     if initial_action is not None:
       output = linears_of(mlps[0])[-1]
       output.bias.data.copy_(torch.as_tensor(initial_action))

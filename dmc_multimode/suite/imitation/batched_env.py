@@ -614,10 +614,8 @@ class BatchedImitation:
     state['steps'] = np.array(self.steps)
     for name, part in self._stateful_parts():
       state |= {f'{name}/{k}': v for k, v in part.state().items()}
-    _, keys, position, has_gauss, gauss = self._random_state.get_state()
-    state['random/keys'] = keys
-    state['random/rest'] = np.array([position, has_gauss, gauss])
-    return state
+    generator = arrays.generator_state(self._random_state)
+    return state | {f'random/{k}': v for k, v in generator.items()}
 
   def restore(self, state: Mapping[str, np.ndarray]) -> np.ndarray:
     """Restores a `state`; returns its observations.
@@ -643,10 +641,7 @@ class BatchedImitation:
     self.steps = int(state['steps' if 'steps' in state else 'total_steps'])
     for name, part in self._stateful_parts():
       part.restore(_sub(state, f'{name}/'))
-    position, has_gauss, gauss = state['random/rest']
-    self._random_state.set_state(
-      ('MT19937', state['random/keys'], int(position), int(has_gauss), gauss)
-    )
+    arrays.restore_generator(self._random_state, _sub(state, 'random/'))
     self._follow_schedules()
     self._move_boxes(np.arange(self.num_worlds))
     self._write_body(np.arange(self.num_worlds))

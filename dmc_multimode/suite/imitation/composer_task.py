@@ -258,6 +258,16 @@ class Imitation(composer.Task):
     )
     self._episode = None
 
+  def set_terrain(self, physics: Any, terrain: terrain_lib.Terrain) -> None:
+    """Replaces the ground in mid-episode.
+
+    Args:
+      physics: of the environment.
+      terrain: a batch of one; the same under the robot and where it was.
+    """
+    self.core.terrain.write(_WORLD, terrain)
+    self._arena.apply(physics, self._current_terrain())
+
   def _current_terrain(self) -> terrain_lib.Terrain:
     return self.core.terrain.rows(_WORLD)
 

@@ -9,6 +9,7 @@ The policy that turns commands into motion is part of the environment.
 """
 
 import os
+import pathlib
 from typing import Any, Callable
 
 from dm_control import composer
@@ -51,6 +52,17 @@ def load_policy(
       f'with {", ".join(_NEEDED)}; {policy!r} has no {", ".join(lacking)}.'
     )
   return policy
+
+
+def find_policy(policy: str | os.PathLike[str]) -> pathlib.Path:
+  """Returns the folder of a policy's files.
+
+  Raises:
+    FileNotFoundError: there is no such policy.
+  """
+  from dmc_multimode.pretrained import folder  # Late: see `load_policy`.
+
+  return folder.find(policy)
 
 
 class ReachingEnvironment(dm_env.Environment):
