@@ -16,6 +16,8 @@ if TYPE_CHECKING:
   from scipy.spatial import transform
 
 _LEAST_FLIGHT = 0.05  # Seconds.
+# Of legs that walk: v^2 / (g h) at which animals begin to run (Alexander 1989).
+_WALKING_FROUDE = 0.5
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -110,6 +112,13 @@ class ReferenceBank:
     self.flies = self.periodic & airborne.any(axis=1)
     # Modes that travel without a flight.
     self.level = ~self.flies & (np.abs(self.displacements[:, :2]).sum(1) > 0)
+    speeds = np.linalg.norm(self.displacements[:, :2], axis=1) / self.durations
+    gravity = constants.GRAVITY
+    fastest = np.sqrt(_WALKING_FROUDE * gravity * self.base_heights)
+    # Clock rates beyond which a mode without a flight cannot be followed.
+    self.fastest_rates = np.divide(
+      fastest, speeds, out=np.full(num, np.inf), where=self.level
+    )
     self.straight = (
       self.gaits & ~self._turning & (self.displacements[:, 1] == 0)
     )

@@ -283,6 +283,14 @@ def test_gaits() -> None:
   np.testing.assert_array_equal(bank.gaits, [True, False, False, False, False])
 
 
+def test_fastest_walks() -> None:
+  bank = library.mode_set('walk_forward,leap_forward,idle,turn_left').bank
+  # A Froude number of a half at 0.5 m: sqrt(0.5 * 9.81 * 0.5) m/s, of 0.6.
+  np.testing.assert_allclose(
+    bank.fastest_rates, [1.5660 / 0.6, np.inf, np.inf, np.inf], rtol=1e-4
+  )
+
+
 @pytest.mark.parametrize('modes', ['walk_forward', 'pi_all'])
 def test_kinds_of_modes_do_not_depend_on_the_set(modes: str) -> None:
   bank = library.mode_set(modes).bank  # Of modes with 2 to 7 keyframes.

@@ -174,11 +174,12 @@ class TransitionEpisodes:
         / schedule.clock_rate[rows]
       )
       modes[rows, knot] = self.sampler.sample_final(before, random_state)
-      # Modes that climb keep their clock rate, so that others end with them.
-      fits = commands > knot
-      fits &= ~bank.transient[modes[rows, knot]] | (
-        schedule.clock_rate[rows] == 1
-      )
+      # Modes that climb keep their clock rate, so that others end with them;
+      # and so do those that cannot go as fast.
+      fits, mode = commands > knot, modes[rows, knot]
+      rate = schedule.clock_rate[rows]
+      fits &= ~bank.transient[mode] | (rate == 1)
+      fits &= rate <= np.maximum(bank.fastest_rates[mode], 1)
       commands = np.where(fits, commands, np.minimum(commands, knot))
       starts[rows, knot] = np.where(fits, after, np.inf)
     return schedule_lib.ModeSchedule(modes, starts, schedule.clock_rate)
@@ -194,10 +195,12 @@ class TransitionEpisodes:
     rates, (low, high) = np.ones(len(initial)), self._config.clock_rates
     share = self._config.clock_rate_fraction.at(steps)
     if share and high > low:
-      transient = self._mode_set.bank.transient
+      bank = self._mode_set.bank
+      transient, fastest = bank.transient, bank.fastest_rates
       drawn = random_state.uniform(size=len(rates)) < share
       drawn &= ~(transient[initial] | transient[final])
-      uniform = random_state.uniform(low, high, size=len(rates))
+      highest = np.minimum(fastest[initial], fastest[final]).clip(low, high)
+      uniform = random_state.uniform(low, highest)
       rates = np.where(drawn, uniform, rates)
     return rates
 

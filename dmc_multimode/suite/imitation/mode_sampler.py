@@ -50,7 +50,8 @@ class SamplingConfig:
     focus: names of modes that replace a drawn mode likewise, comma-separated.
     focus_fraction: probability that they do; a schedule.
     focus_end: environment steps after which they no longer do; 0 for no end.
-    clock_rates: range of the clock rates of some episodes. Modes that climb or
+    clock_rates: range of the clock rates of some episodes, for modes that have
+      no flight up to the speed at which legs begin to run. Modes that climb or
       descend keep theirs, 1.
     clock_rate_fraction: share of the episodes that draw theirs; a schedule.
     string_fraction: share of the episodes that last twice as long and have up

@@ -63,6 +63,9 @@ def test_strings_of_transitions_and_clock_rates() -> None:
   short = ~climbs & ~strings
   assert (rates[short] != 1).mean() == pytest.approx(0.5, abs=0.05)
   assert 0.5 <= rates.min() < 0.6 and 2.9 < rates.max() <= 3.0
+  # Faster, a walk would be a run.
+  walks = (used & (modes == _PI2.index('walk_forward'))).any(axis=1)
+  assert 2.4 < rates[walks].max() <= _PI2.bank.fastest_rates.min()
 
 
 def test_gaits_come_first() -> None:
