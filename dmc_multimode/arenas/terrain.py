@@ -77,6 +77,27 @@ def profile(
   return np.where(np.isfinite(top), top, nothing)
 
 
+def overhang(
+  terrain: Terrain, x: np.ndarray, reach: float, even: float
+) -> np.ndarray:
+  """Returns how far feet hang over edges, 0, 0.5 or 1, [B, K].
+
+  That is the share of their two ends under which the ground is higher or lower
+  than under their middle, or missing.
+
+  Args:
+    terrain: B terrains.
+    x: of the middle of the feet, world metres, [B, K].
+    reach: from the middle to either end, metres.
+    even: differences of height that do not count, metres.
+  """
+  places = np.concatenate([x, x - reach, x + reach], axis=1)
+  heights = profile(terrain, places, nothing=_PARKED)
+  middle, heel, toe = np.split(heights, 3, axis=1)
+  off = [np.abs(end - middle) > even for end in (heel, toe)]
+  return np.mean(off, axis=0)
+
+
 def clearance_height(
   terrain: Terrain, x: np.ndarray, reach: float
 ) -> np.ndarray:

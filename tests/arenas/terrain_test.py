@@ -41,6 +41,16 @@ def _courses(draw: st.DrawFn) -> list[tuple[float, float, float]]:
   return segments
 
 
+def test_overhang_by_hand() -> None:
+  # On level ground; a toe over the gap; both ends over narrow ground; a heel
+  # lower than the block; all of it in the gap.
+  x = np.array([[0.5, 0.96, 1.75, 2.02, 1.25]])
+  found = terrain.overhang(_COURSE, x, 0.06, 0.02)
+  np.testing.assert_array_equal(found, [[0.0, 0.5, 0.0, 0.5, 0.0]])
+  found = terrain.overhang(_COURSE, x, 0.3, 0.02)
+  np.testing.assert_array_equal(found, [[0.0, 0.5, 1.0, 0.5, 1.0]])
+
+
 _END = (np.inf, 0.0, 0.0)
 
 

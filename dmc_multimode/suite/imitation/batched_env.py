@@ -116,10 +116,10 @@ class BatchedImitation:
     self.privileged_size = self._size - observations.size(
       latent_dim, extra=extra
     )
-    self._noise = observations.noise(latent_dim, extra)
+    self._errors = observations.SensorErrors(latent_dim, extra)
     scale = self.config.events.sensor_noise
     self._noisy = max(scale.first, scale.last) > 0
-    self._sensor_errors = np.zeros((num_worlds, len(self._noise)))
+    self._sensor_errors = np.zeros((num_worlds, len(self._errors.noise)))
     self._disturbances = self.config.events.disturbances
     self._soles = np.full((num_worlds, 2, 3), np.inf)
     self._random_state = (
@@ -595,16 +595,18 @@ class BatchedImitation:
     flat = observations.flatten(parts)
     if self._noisy:
       errors = self._sensor_errors[ids]
-      flat[:, : errors.shape[1]] += errors
+      observed = flat[:, : errors.shape[1]]
+      observed[:] = observations.with_errors(observed, errors)
     return flat
 
   def _draw_sensor_errors(self, ids: np.ndarray | slice) -> None:
     """Draws the errors of the next observations of the worlds `ids`."""
     if self._noisy:
       scale = self.config.events.sensor_noise.at(self.steps)
-      shape = self._sensor_errors[ids].shape
-      noise = self._random_state.standard_normal(shape)
-      self._sensor_errors[ids] = scale * self._noise * noise
+      count = len(self._sensor_errors[ids])
+      self._sensor_errors[ids] = self._errors.draw(
+        count, scale, self._random_state
+      )
 
   def state(self) -> dict[str, np.ndarray]:
     """Returns copies of the whole state: `restore` continues bit for bit."""

@@ -72,10 +72,10 @@ class Imitation(composer.Task):
     self._episode: episodes_lib.Episodes | None = None
     self._body: tuple[Any, disturbances.Body] | None = None
     self._targets = np.zeros((self.config.substeps, observations.NUM_JOINTS))
-    self._noise = observations.noise(
+    self._errors = observations.SensorErrors(
       mode_set.latent_dim, self.config.extra_observations
     )
-    self._sensor_errors = np.zeros((1, len(self._noise)))
+    self._sensor_errors = np.zeros((1, len(self._errors.noise)))
     self._add_observables()
 
   def _set_physics_options(self) -> None:
@@ -349,8 +349,7 @@ class Imitation(composer.Task):
     """Draws the errors of the observations of this control step."""
     scale = self.config.events.sensor_noise.at(0)
     if scale:
-      noise = random_state.standard_normal((1, len(self._noise)))
-      self._sensor_errors = scale * self._noise * noise
+      self._sensor_errors = self._errors.draw(1, scale, random_state)
 
   def command(
     self, physics: Any, mode: int, random_state: np.random.RandomState
@@ -388,7 +387,8 @@ class Imitation(composer.Task):
     start = 0
     for name, part in self.core.observe(*_state(physics), share=share).items():
       end = start + part.shape[1]
-      self._parts[name] = part + self._sensor_errors[:, start:end]
+      errors = self._sensor_errors[:, start:end]
+      self._parts[name] = observations.with_errors(part, errors)
       start = end
     self._unseen = None
 

@@ -318,6 +318,12 @@ class ImitationCore:
       limits,
       self.contact,
       self.clearance(soles),
+      terrain_lib.overhang(
+        self.terrain,
+        soles[:, :, 0],
+        motion_costs.HALF_FOOT,
+        motion_costs.EVEN,
+      ),
       rise / self.config.control_timestep,
       observations.in_heading(apart, state.heading)[:, 1],
       bank.steady[state.mode],
@@ -372,7 +378,12 @@ class ImitationCore:
         displacement,
         state.clock_rate[ids],
         self.actions[ids],
-        self._scan(terrain, qpos[:, 0], heading[ids], support)
+        self._scan(
+          terrain,
+          qpos[:, 0] - observations.SCAN_AGE * qvel[:, 0],
+          heading[ids],
+          support,
+        )
         if 'ground_scan' in extra
         else np.zeros((len(qpos), 0)),
       ),

@@ -17,6 +17,8 @@ _SOFT_LANDING = 0.5  # m/s: slower touch-downs cost nothing.
 _APPROACH = 0.03  # Metres over the ground within which a fall is a touch-down.
 _NEAR_LIMIT = np.deg2rad(3.0)  # Before a joint's limit.
 _EXCESS = 0.1  # Radians in the zone of a limit that cost 1.
+HALF_FOOT = 0.06  # Metres from the middle of a sole; its ends are at 7.5 cm.
+EVEN = 0.02  # Metres: smaller rises of the ground are none.
 _WIDTH = 0.18  # Metres between the feet in the crouch.
 _WIDTH_SLACK = 0.04  # Metres.
 _STRADDLE = 0.1  # Metres beyond the slack that cost 1.
@@ -32,6 +34,8 @@ class Motion(NamedTuple):
     limits: of the joints, radians, [10, 2].
     contact: feet on the ground (left, right), 0 or 1, [B, 2].
     clearance: of the soles over the ground, metres, [B, 2].
+    overhang: share of each sole's ends that are not over the ground under its
+      middle, [B, 2].
     sole_velocity: of the soles, vertical, m/s, [B, 2].
     width: sideways from the right to the left sole, metres, [B].
     steady: whether the running mode is one pose, [B].
@@ -45,6 +49,7 @@ class Motion(NamedTuple):
   limits: np.ndarray
   contact: np.ndarray
   clearance: np.ndarray
+  overhang: np.ndarray
   sole_velocity: np.ndarray
   width: np.ndarray
   steady: np.ndarray
@@ -86,6 +91,11 @@ def lifted_foot(motion: Motion) -> np.ndarray:
   return np.where(motion.steady, 1.0 - motion.contact.mean(axis=1), 0.0)
 
 
+def foothold(motion: Motion) -> np.ndarray:
+  """Returns the mean overhang of feet that stand near an edge, [B]."""
+  return np.mean(motion.contact * motion.overhang, axis=1)
+
+
 def straddle(motion: Motion) -> np.ndarray:
   """Returns how far straight gaits are off the crouch's width, at most 1."""
   off = np.maximum(np.abs(motion.width - _WIDTH) - _WIDTH_SLACK, 0.0)
@@ -114,6 +124,7 @@ class CostWeights:
       without a flight, s^2/m^2.
     joint_limit: of joints within 3 degrees of a limit, or beyond.
     lifted_foot: of feet off the ground in steady modes.
+    foothold: of standing feet with an end beyond an edge of the ground.
     straddle: of feet too far apart or too close in straight gaits.
   """
 
@@ -122,6 +133,7 @@ class CostWeights:
   touch_down: config.NonNegative = _row(touch_down, 0.15)
   joint_limit: config.NonNegative = _row(joint_limit, 0.15)
   lifted_foot: config.NonNegative = _row(lifted_foot, 0.2)
+  foothold: config.NonNegative = _row(foothold, 0.1)
   straddle: config.NonNegative = _row(straddle, 0.1)
 
   @property

@@ -39,6 +39,7 @@ _SIGHT = 1.0  # Metres: the distance to a ledge saturates here.
 _ASTRAY = 0.5  # Metres: the displacement saturates here.
 # Metres ahead of the trunk, along the commanded heading, of the ground's scan.
 SCAN = tuple(round(0.09 * i - 0.18, 2) for i in range(16))
+SCAN_AGE = 0.03  # Seconds from a scan of the ground to its use.
 _DEEP = 0.6  # Metres: the scan saturates here.
 # Rows of `Disturbances` that act on the robot; none changes in a mirror.
 _FELT_DISTURBANCES = (
@@ -68,8 +69,8 @@ class PolicyView(NamedTuple):
       [B, 2].
     clock_rate: rate of the phase clock, 1 being the reference's own, [B].
     actions: last joint targets, the newest first, radians, [B, H, 10].
-    ground: heights of the ground at `SCAN` over the support plane, metres,
-      [B, 16]; minus infinity where there is none.
+    ground: heights of the ground at `SCAN` over the support plane, as it was
+      `SCAN_AGE` ago, metres, [B, 16]; minus infinity where there is none.
     quaternion: of the trunk, (w, x, y, z), finite, [B, 4].
     trunk: the same orientations as rotations, B of them.
   """
@@ -138,6 +139,7 @@ class Term:
     frame: that its vectors are in, one of `FRAMES`; empty for none.
     noise: standard deviation of the sensor noise that `sensor_noise` of 1
       means, in the unit.
+    dropouts: share of the entries that a sensor then misses, and reads as 0.
   """
 
   name: str
@@ -148,6 +150,7 @@ class Term:
   order: tuple[int, ...] | None = None
   frame: str = ''
   noise: float = 0.0
+  dropouts: float = 0.0
 
 
 # Equal angles of the two legs, left leg first, are mirror images.
@@ -239,6 +242,7 @@ EXTRA_TERMS: tuple[Term, ...] = (
     len(SCAN),
     frame='heading',
     noise=0.02,
+    dropouts=0.02,
   ),
 )
 EXTRA_NAMES = tuple(term.name for term in EXTRA_TERMS)
@@ -330,12 +334,43 @@ def part(
   raise ValueError(f'{name!r} is not a part of the observation.')
 
 
-def noise(latent_dim: int, extra: Iterable[str] = ()) -> np.ndarray:
-  """Returns the noise's deviations of the policy's observation, [D]."""
-  return np.repeat(
-    [term.noise for term in terms(extra=extra)],
-    [length for _, length in layout(latent_dim, extra=extra)],
-  )
+class SensorErrors:
+  """Errors of the policy's observations."""
+
+  def __init__(self, latent_dim: int, extra: Iterable[str] = ()):
+    """Declares the errors of the terms.
+
+    Args:
+      latent_dim: n_m.
+      extra: names of the terms beyond the paper's.
+    """
+    chosen = tuple(extra)
+    lengths = [length for _, length in layout(latent_dim, extra=chosen)]
+    by_entry = lambda values: np.repeat(values, lengths)
+    self.noise = by_entry([term.noise for term in terms(extra=chosen)])
+    self._dropouts = by_entry([term.dropouts for term in terms(extra=chosen)])
+
+  def draw(
+    self, count: int, scale: float, random_state: np.random.RandomState
+  ) -> np.ndarray:
+    """Returns errors of observations, NaN where one is missed, [N, D].
+
+    Args:
+      count: N.
+      scale: factor of the noise and of the share of dropouts.
+      random_state: source of the errors.
+    """
+    shape = count, len(self.noise)
+    errors = scale * self.noise * random_state.standard_normal(shape)
+    if self._dropouts.any():
+      missed = random_state.uniform(size=shape) < scale * self._dropouts
+      errors[missed] = np.nan
+    return errors
+
+
+def with_errors(observed: np.ndarray, errors: np.ndarray) -> np.ndarray:
+  """Returns observations with their errors; both are [B, D]."""
+  return np.where(np.isnan(errors), 0.0, observed + errors)
 
 
 def mirror(

@@ -23,6 +23,7 @@ from dmc_multimode.suite.imitation import config
 from dmc_multimode.suite.imitation import core as imitation_core
 from dmc_multimode.suite.imitation import episodes
 from dmc_multimode.suite.imitation import events
+from dmc_multimode.suite.imitation import observations
 from dmc_multimode.suite.imitation import obstacles
 from dmc_multimode.utils import constants
 from dmc_multimode.utils import schedule as schedules
@@ -33,6 +34,25 @@ _MOTIONS = tuple(library.modes().values())
 _NAMES = [motion.name for motion in _MOTIONS]
 _PHASES = 60  # Of each mode, drawn.
 _CORNERS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1)
+
+
+def test_the_scan_is_of_a_moment_ago() -> None:
+  task = multimode_biped.make_task(
+    'walk_forward',
+    episodes.ScheduledEpisodes(schedule.single(np.zeros(1, dtype=np.int64))),
+    'gap',
+    config.ImitationConfig(extra_observations=('ground_scan',)),
+  )
+  worlds = batched_env.BatchedImitation(task, 1, 0, 1)
+  worlds.reset()
+  qpos, qvel = worlds.qpos.copy(), worlds.qvel.copy()
+  qpos[:, 0], qvel[:, 0] = 0.41, 2.0  # The gap begins at 0.8 m.
+  scan = worlds.core.observe(qpos, qvel)['ground_scan'][0]
+  ahead = np.array(observations.SCAN) + 0.41 - 2.0 * 0.03
+  np.testing.assert_array_equal(scan < -0.1, (0.8 < ahead) & (ahead < 1.25))
+  qvel[:, 0] = 0.0
+  assert (worlds.core.observe(qpos, qvel)['ground_scan'][0] != scan).any()
+
 
 # --- Starts.
 

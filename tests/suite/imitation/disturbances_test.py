@@ -146,7 +146,7 @@ def test_sensor_noise_has_the_declared_deviation() -> None:
   plain, noisy = _worlds(500), _worlds(500, sensor_noise=2.0)
   assert not plain._noisy
   errors = noisy._sensor_errors.std(axis=0)
-  np.testing.assert_allclose(errors, 2.0 * noisy._noise, rtol=0.15)
+  np.testing.assert_allclose(errors, 2.0 * noisy._errors.noise, rtol=0.15)
 
 
 def test_odometry_error_by_hand() -> None:

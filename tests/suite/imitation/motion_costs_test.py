@@ -14,6 +14,7 @@ _QUIET: dict[str, Any] = {
   'limits': _LIMITS,
   'contact': np.array([[1.0, 1.0]]),
   'clearance': np.zeros((1, 2)),
+  'overhang': np.zeros((1, 2)),
   'sole_velocity': np.zeros((1, 2)),
   'width': np.array([0.18]),
   'steady': np.array([False]),
@@ -55,6 +56,15 @@ def _actions(*values: float) -> np.ndarray:
     ('joint_limit', {'joints': 0.999 * np.eye(10)[:1]}, 0.263),
     ('joint_limit', {'joints': -0.6 * np.eye(10)[:1]}, 2.3213),
     ('joint_limit', {'joints': 0.9 * np.eye(10)[:1]}, 0.0),
+    # A toe over the edge; the other foot, wholly beyond it, is in the air.
+    (
+      'foothold',
+      {
+        'overhang': np.array([[0.5, 1.0]]),
+        'contact': np.array([[1.0, 0.0]]),
+      },
+      0.25,
+    ),
     (
       'lifted_foot',
       {'contact': np.array([[1.0, 0.0]]), 'steady': np.array([True])},

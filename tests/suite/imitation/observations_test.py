@@ -112,6 +112,19 @@ def test_mirror_image_by_hand() -> None:
   assert latents == (2, 72)
 
 
+def test_sensors_miss_some_of_the_ground() -> None:
+  extra = ('ground_scan',)
+  errors = observations.SensorErrors(4, extra)
+  drawn = errors.draw(2000, 2.0, np.random.RandomState(0))
+  scan = observations.part('ground_scan', 4, False, extra)
+  missed = np.isnan(drawn)
+  assert missed[:, scan].mean() == pytest.approx(0.04, abs=0.005)
+  assert missed.sum() == missed[:, scan].sum()
+  seen = observations.with_errors(np.full(drawn.shape, 3.0), drawn)
+  assert (seen[missed] == 0).all()
+  np.testing.assert_allclose(seen[~missed], 3.0 + drawn[~missed])
+
+
 def test_layout() -> None:
   parts = {**_policy_sees(), **_critic_sees()}
   sizes = [(name, part.shape[1]) for name, part in parts.items()]
@@ -127,7 +140,7 @@ def test_layout() -> None:
     assert place.stop - place.start == length
   some = observations.layout(4, extra=['clock_rate'])
   assert some == (*observations.layout(4), ('clock_rate', 1))
-  noise = observations.noise(4, extra)
+  noise = observations.SensorErrors(4, extra).noise
   np.testing.assert_array_equal(noise[[0, 6, 11, 37]], [0, 0.01, 0.01, 0.01])
   with pytest.raises(ValueError, match="unknown observation 'lidar'; there"):
     observations.check_extra(['lidar'])
