@@ -62,6 +62,7 @@ class ImitationCore:
     actions: last joint targets, the newest first, radians, [B, H, 10]; at the
       start of an episode, the joints' angles.
     distance_slack: added to the limit on the distance, metres.
+    push_slack: likewise, of each world, [B].
     disturbances: values by row of `Disturbances`, [B] each.
   """
 
@@ -87,6 +88,7 @@ class ImitationCore:
     config.check_modes(mode_set.motions)
     self.config = config
     self.distance_slack = 0.0
+    self.push_slack = np.zeros(num_worlds)
     self.disturbances = disturbances.nominal(num_worlds)
     self.tracker = commands.ModeTracker(
       mode_set,
@@ -190,7 +192,7 @@ class ImitationCore:
       height,
       finite,
       config.limits,
-      self.distance_slack,
+      self.distance_slack + self.push_slack,
     )
     return Outcome(reward, terms, errors, reference, cause)
 

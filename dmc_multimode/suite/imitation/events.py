@@ -22,6 +22,7 @@ from dmc_multimode.utils import config
 from dmc_multimode.utils import schedule
 
 _MEMORY = 0.995  # The mean follows about the last 200 episodes.
+RECOVERY = 2.0  # Seconds after a push in which `push_slack` counts.
 _ENOUGH = 1 / 3  # Share of survivors above which assistance fades.
 _CLEARANCE = 0.05  # Metres: clearance at which a swinging foot agrees fully.
 _SWING_HEIGHT = 0.06  # Metres: clearance in the middle of a step's swing.
@@ -49,6 +50,8 @@ class TrainingEvents:
       `suite.imitation.obstacles`.
     push_speed: largest velocity that a push adds, m/s.
     push_interval: mean time between the pushes of a robot, seconds.
+    push_slack: added to `limits.distance` for two seconds after a push, metres:
+      a robot that steps to stay up strays, and has to come back.
     disturbances: of body, servos and ground, drawn for each episode.
     disturbance_share: of the way from the nominal robot to the drawn one.
     disturbance_fraction: probability of each row of the disturbances to be
@@ -67,6 +70,7 @@ class TrainingEvents:
   obstacles: schedule.ScheduleField = _ZERO
   push_speed: schedule.ScheduleField = _ZERO
   push_interval: config.Positive = 1.5
+  push_slack: config.NonNegative = 0.0
   disturbances: disturbances_lib.Disturbances = disturbances_lib.NOMINAL
   disturbance_share: schedule.ShareField = schedule.constant(1.0)
   disturbance_fraction: config.Share = 1.0
@@ -178,7 +182,7 @@ def push(
   speed: float,
   probability: float,
   random_state: np.random.RandomState,
-) -> None:
+) -> np.ndarray:
   """Adds random horizontal velocities to some robots, in place.
 
   Args:
@@ -186,14 +190,18 @@ def push(
     speed: largest velocity that a push adds, m/s; at 0 nothing is drawn.
     probability: of a push, for each robot.
     random_state: source of the robots, speeds and directions.
+
+  Returns:
+    The robots that are pushed, [N].
   """
   if not speed:
-    return
+    return np.zeros(0, dtype=np.int64)
   uniform = lambda high, size: random_state.uniform(0, high, size)
   ids = np.flatnonzero(uniform(1.0, len(qvel)) < probability)
   speeds, angle = uniform(speed, len(ids)), uniform(2 * np.pi, len(ids))
   qvel[ids, 0] += speeds * np.cos(angle)
   qvel[ids, 1] += speeds * np.sin(angle)
+  return ids
 
 
 def contact_schedule_agreement(

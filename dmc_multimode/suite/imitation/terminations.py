@@ -62,7 +62,7 @@ def termination_cause(
   height: np.ndarray,
   finite: np.ndarray,
   limits: TerminationLimits,
-  distance_slack: float = 0.0,
+  distance_slack: float | np.ndarray = 0.0,
 ) -> np.ndarray:
   """Returns the cause of each world's end, an index into `CAUSES`, [B].
 
@@ -73,7 +73,8 @@ def termination_cause(
     height: of the trunk over its support, metres, [B].
     finite: whether the state is finite, [B].
     limits: the bounds.
-    distance_slack: added to the bound on the distance, metres.
+    distance_slack: added to the bound on the distance, metres, [B] or one for
+      all.
   """
   cause = np.zeros(len(distance), dtype=np.int8)
   # The last assignment wins, so the most telling cause comes last.

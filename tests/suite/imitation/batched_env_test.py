@@ -554,6 +554,31 @@ def test_pushes_begin() -> None:
   assert np.ptp(np.arctan2(gains[2][:, 1], gains[2][:, 0])) > np.pi / 2
 
 
+def test_pushed_robots_may_stray_for_two_seconds() -> None:
+  worlds = _launching(
+    push_speed=schedules.Schedule(0.5, 0.0, 16, 16),
+    push_interval=0.03,
+    push_slack=0.2,
+  )
+  slack = []
+  for _ in range(70):  # All are pushed in the first step, none after it.
+    _stand(worlds)
+    slack.append(worlds.core.push_slack.copy())
+  steps = np.array(slack).any(axis=1)
+  assert (slack[0] == 0.2).all() and (slack[-1] == 0).all()
+  assert steps.sum() == pytest.approx(2.0 / 0.03, abs=1.5)
+  other = _launching(
+    push_speed=schedules.Schedule(0.5, 0.0, 16, 16),
+    push_interval=0.03,
+    push_slack=0.2,
+  )
+  worlds.reset()
+  _stand(worlds)
+  worlds._recovering[3] = 1.0
+  other.restore(worlds.state())
+  np.testing.assert_array_equal(np.flatnonzero(other.core.push_slack), [3])
+
+
 @pytest.mark.parametrize('share', (1.0, 0.25, 0.0))
 def test_assistance_at_take_off(share: float) -> None:
   """Phases are 0.03 / 1.1 apart: the take-off at 0.42 is in step 16."""
