@@ -19,6 +19,7 @@ _DATA = {  # Folder -> pattern of the files that must be shipped.
   'xml': '*.xml',
   'flags': '*.flags',
   'pretrained': '**/*',
+  'evaluation': '*.j2',
 }
 _USER = _ROOT / 'tests' / 'typing' / 'user_script.py'
 

@@ -3,8 +3,9 @@ r"""Makes a shipped policy of a training run.
     python -m benchmarks.release.ship --run_dir=runs/pi3 --name=pi3
 
 Copies the policy and the encoder to `dmc_multimode/pretrained/NAME`, the
-learning curves with fewer rows, and evaluates the policy there. With --steps it
-is one of those that the run kept (--keep_every) instead of the last.
+learning curves with fewer rows, evaluates the policy there, and writes its
+card, README.md. With --steps it is one of those that the run kept
+(--keep_every) instead of the last.
 """
 
 import csv
@@ -19,6 +20,7 @@ from typing import Sequence
 
 from absl import flags
 
+from benchmarks.release import cards
 from dmc_multimode import pretrained
 from dmc_multimode.bin import app
 from dmc_multimode.bin import flags as config_flags
@@ -138,6 +140,11 @@ def main(argv: Sequence[str]) -> None:
       check=True,
     )
     files[report.name] = report.read_bytes()
+  files[cards.CARD_FILE] = cards.card(
+    _NAME.value,
+    json.loads(files[policy_lib.DESCRIPTION_FILE]),
+    json.loads(files[policy_lib.METRICS_FILE]),
+  ).encode()
   # Only now: what was shipped before stays until all is there.
   folder = shipped_folder(_NAME.value)
   write(files, folder)

@@ -341,7 +341,7 @@ class _Random(NamedTuple):
   most_pieces: Callable[..., int]
 
 
-_FIXED: Mapping[str, Callable[..., Sequence[Piece]]] = {
+_FIXED: dict[str, Callable[..., Sequence[Piece]]] = {
   'flat': flat,
   'gap': gap,
   'plateau': plateau,
@@ -352,7 +352,7 @@ _FIXED: Mapping[str, Callable[..., Sequence[Piece]]] = {
   'stepping_stones': stepping_stones,
   'slope': slope,
 }
-_RANDOM: Mapping[str, _Random] = {
+_RANDOM: dict[str, _Random] = {
   'rough': _Random(
     rough, lambda length, tread, **_: 2 + pieces.fitting(length, tread)
   ),
@@ -360,14 +360,40 @@ _RANDOM: Mapping[str, _Random] = {
   'obstacle_course': _Random(obstacle_course, _COURSE.most_pieces),
   'gaps_and_blocks': _Random(gaps_and_blocks, _GAPS_AND_BLOCKS.most_pieces),
 }
-NAMES = (*_FIXED, *_RANDOM)
+NAMES = (*_FIXED, *_RANDOM)  # Of this module's own.
+
+
+def register(
+  name: str,
+  function: Callable[..., Sequence[Piece]],
+  most_pieces: Callable[..., int] | None = None,
+) -> None:
+  """Makes a layout of one's own known by a name, in this process.
+
+  Args:
+    name: by which `plan`, `record` and the others find it.
+    function: of its sizes, keyword arguments with defaults; of a layout that
+      draws, of a generator before them.
+    most_pieces: of all sizes, returns the most pieces that a layout that draws
+      can have; None for a layout that does not draw.
+
+  Raises:
+    ValueError: the name is taken by another function.
+  """
+  known = _RANDOM[name].function if name in _RANDOM else _FIXED.get(name)
+  if known not in (None, function):
+    raise ValueError(f'There is an arena {name!r} already.')
+  if most_pieces is None:
+    _FIXED[name] = function
+  else:
+    _RANDOM[name] = _Random(function, most_pieces)
 
 
 def make(name: str, sizes: Mapping[str, Number] | None = None) -> Layout:
   """Returns the named layout: its pieces, or a function that draws them.
 
   Args:
-    name: one of `NAMES`.
+    name: one of `NAMES`, or of those of `register`.
     sizes: arguments of the layout's function; its defaults otherwise.
 
   Raises:
@@ -399,8 +425,9 @@ def default_sizes(name: str) -> Mapping[str, float]:
   Raises:
     ValueError: the name is unknown; the message lists the known ones.
   """
-  if name not in NAMES:
-    raise ValueError(f'Unknown arena {name!r}; arenas are {", ".join(NAMES)}.')
+  names = (*_FIXED, *_RANDOM)
+  if name not in names:
+    raise ValueError(f'Unknown arena {name!r}; arenas are {", ".join(names)}.')
   function = _RANDOM[name].function if name in _RANDOM else _FIXED[name]
   parameters = inspect.signature(function).parameters.values()
   return {p.name: p.default for p in parameters if p.default is not p.empty}

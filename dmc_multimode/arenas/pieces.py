@@ -2,11 +2,12 @@
 
 import math
 import numbers
-from typing import Callable, NamedTuple, Sequence, TypeAlias
+from typing import Callable, NamedTuple, Sequence, TYPE_CHECKING, TypeAlias
 
-from dm_control.composer import variation
+if TYPE_CHECKING:  # Composer imports slowly, and names of tracks are flags.
+  from dm_control.composer import variation
 
-Number: TypeAlias = float | variation.Variation
+Number: TypeAlias = 'float | variation.Variation'
 
 LAST = 20.0  # Metres: length of the ground behind the last obstacle.
 _MOST_PARTS = 100  # Of an obstacle: each is a body of the compiled model.

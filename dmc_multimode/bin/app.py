@@ -20,7 +20,9 @@ mend, flags included (one line `error: ...` on stderr, and the traceback with
 `--verbosity=1`); 3 no plan reaches the goal; 130 interrupted.
 """
 
+import difflib
 import functools
+import os
 import pathlib
 import re
 import sys
@@ -53,6 +55,18 @@ EXPECTED_ERRORS = (
   ModuleNotFoundError,  # An extra that is not installed.
 )
 
+# `--helpfull` is absl's own: it adds the flags of absl.
+_HELP = ('help', 'helpshort', '?')
+# Reasons for which absl refuses a value -> what to give in its place.
+_REASONS = (
+  (r'flag (--.*?): invalid literal for int\(\).*', r'\1: give a whole number'),
+  (r'flag (--.*?): could not convert string to float.*', r'\1: give a number'),
+  (r'flag (--.*?): .*Non-boolean argument.*', r'\1: give true or false'),
+  (r'flag (--.*?): value should be one of <(.*)>', r'\1: give one of \2'),
+  (r'flag (--.*)', r'\1'),
+  (r'Missing value for flag (--\w+).*', r'\1 has no value: give \1=VALUE'),
+)
+_REQUIRED = re.compile(r'Flag --(\w+) must have a value other than None')
 _FLAGFILE = re.compile(r'--?flagfile(=(?P<value>.*))?', re.DOTALL)
 
 
@@ -79,9 +93,7 @@ def run(
     args = find_flagfiles(sys.argv if argv is None else argv)
   except FileNotFoundError as error:
     sys.exit(_report(error))
-  if check and not any(
-    arg.startswith(('--help', '-help', '-?')) for arg in args
-  ):
+  if check and not _words(args) & {*_HELP, 'helpfull', 'helpxml'}:
     _parse_flags(args, known_only=True)
     try:
       check()
@@ -90,6 +102,8 @@ def run(
     flags.FLAGS.unparse_flags()
   define()
   _lend_help(sys.modules[main.__module__])
+  if _words(args) & {*_HELP}:
+    sys.exit(_print_help())
   absl_app.run(
     functools.partial(_guard, main), argv=args, flags_parser=_parse_flags
   )
@@ -106,6 +120,31 @@ def _lend_help(module: types.ModuleType) -> None:
     flags.FLAGS.register_key_flag_for_module(sys.argv[0], flag)
 
 
+def _words(args: Sequence[str]) -> set[str]:
+  """Returns the names of the flags in a command line that have no value."""
+  last = args.index('--') if '--' in args else len(args)
+  return {arg.lstrip('-') for arg in args[1:last] if arg.startswith('-')}
+
+
+def _print_help() -> int:
+  """Prints the command's text, its flags and those of its configurations.
+
+  absl's own `--help` leaves out the latter.
+  """
+  text = [
+    (sys.modules['__main__'].__doc__ or '').strip(),
+    '\nflags:',
+    flags.FLAGS.main_module_help(),
+    *config_flags.help_texts(),
+    "\n--helpfull lists absl's own flags, too.",
+  ]
+  try:
+    print('\n'.join(text), flush=True)
+  except BrokenPipeError:  # As of `--help | head`.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+  return 0
+
+
 def _parse_flags(args: Sequence[str], known_only: bool = False) -> list[str]:
   """Parses the flags; errors are one line with exit code 2."""
   try:
@@ -113,20 +152,41 @@ def _parse_flags(args: Sequence[str], known_only: bool = False) -> list[str]:
     return rest
   except SystemExit:
     sys.exit(0)  # After `--help`, which absl ends with 1.
-  except flags.UnrecognizedFlagError as error:
-    sys.exit(_report(_old_flag_error(error)))
   # absl lets pass what a flagfile's bytes or a flag of its own raise.
   except (flags.Error, ValueError, OSError) as error:
-    sys.exit(_report(error))
+    sys.exit(_report(_explained(error)))
 
 
-def _old_flag_error(error: flags.UnrecognizedFlagError) -> flags.Error:
-  """Returns the error of a flag of an earlier version, or `error` itself."""
-  name = error.flagname
+def _explained(error: Exception) -> Exception:
+  """Returns an error of flags that says what to do."""
+  if isinstance(error, flags.UnrecognizedFlagError):
+    return flags.Error(_unknown(error.flagname))
+  text = str(error)
+  missing = _REQUIRED.findall(text)
+  if missing:
+    texts = (
+      f'--{name} is needed: {flags.FLAGS[name].help}' for name in missing
+    )
+    return flags.Error(' '.join(texts))
+  if isinstance(error, flags.Error):
+    for pattern, replacement in _REASONS:
+      if match := re.fullmatch(pattern, text, re.DOTALL):
+        return flags.Error(match.expand(replacement))
+  return error
+
+
+def _unknown(name: str) -> str:
+  """Returns what to do about a flag that there is not."""
   if name in config_flags.RENAMED:
-    return flags.Error(f'--{name} is now --{config_flags.RENAMED[name]}')
+    return f'--{name} is now --{config_flags.RENAMED[name]}'
   reason = config_flags.REMOVED.get(name.removeprefix('no'))
-  return flags.Error(f'--{name} is gone: {reason}') if reason else error
+  if reason:
+    return f'--{name} is gone: {reason}'
+  known = [other for other in flags.FLAGS if other.endswith(f'_{name}')]
+  known = known or difflib.get_close_matches(name, [*flags.FLAGS])
+  names = ' or '.join(f'--{other}' for other in known)
+  hint = f'is it {names}? ' if known else ''
+  return f'unknown flag --{name}: {hint}--help lists all flags'
 
 
 def find_flagfiles(argv: Sequence[str]) -> list[str]:

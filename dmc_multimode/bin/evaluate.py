@@ -3,7 +3,8 @@
 python -m dmc_multimode.bin.evaluate --policy=quickstart --out=report.json
 
 --html=report.html writes a page with tables, a heat map of the transitions,
-figures, and a short video of every mode, which nothing disturbs. --payload=2,
+figures, a short video of every mode, which nothing disturbs, and the task in
+words; with --compare=POLICY it shows that policy beside. --payload=2,
 --action_delay=0.03 and their like fix the disturbances of all robots, one by
 one. Under `torchrun` in place of `python`, several processes share the
 episodes.
@@ -12,7 +13,7 @@ episodes.
 import functools
 import json
 import pathlib
-from typing import Any, Sequence, TYPE_CHECKING
+from typing import Any, Mapping, NamedTuple, Sequence, TYPE_CHECKING
 
 from absl import flags
 
@@ -25,6 +26,8 @@ from dmc_multimode.viewer import gl
 
 if TYPE_CHECKING:
   from dmc_multimode import pretrained
+  from dmc_multimode.evaluation import report as report_lib
+  from dmc_multimode.suite.imitation import config as task_config
   from dmc_multimode.suite.imitation import events
 
 _POLICY = config_flags.define_path(
@@ -35,6 +38,12 @@ _OUT = config_flags.define_path(
 )
 _HTML = config_flags.define_path(
   'html', None, 'Page to write the report to, with figures and videos in it.'
+)
+_COMPARE = config_flags.define_path(
+  'compare',
+  None,
+  'Another policy, likewise, that the page of --html shows beside: both values '
+  'of every table, and the difference.',
 )
 _FIGURES = config_flags.define_path(
   'figures',
@@ -84,18 +93,49 @@ def _why_no_videos() -> str:
   return ''
 
 
+class _Found(NamedTuple):
+  """A policy, and the scores of its evaluation."""
+
+  name: str
+  policy: 'pretrained.Policy'
+  values: dict[str, Any]
+
+
 def _evaluate(no_videos: str, communicator: distributed.Communicator) -> None:
-  """Evaluates the policy; rank 0 reports."""
-  # These import dm_control, which reads MUJOCO_GL.
+  """Evaluates the policies; rank 0 reports."""
+  # This imports dm_control, which reads MUJOCO_GL.
   from dmc_multimode import pretrained
-  from dmc_multimode.evaluation import scores
 
   out = files.output_file('out', _OUT.value)
   page = files.output_file('html', _HTML.value)
   folder = files.output_folder('figures', _FIGURES.value)
+  names = [_POLICY.value]
+  if _COMPARE.value:
+    names.append(_COMPARE.value)
+    if not page:
+      raise ValueError(
+        '--compare shows two policies on a page: add --html=FILE'
+      )
+  # All are loaded before one takes its time.
+  policies = [pretrained.load(name) for name in names]
+  found = [
+    _Found(name, policy, _scores(name, policy, communicator))
+    for name, policy in zip(names, policies, strict=True)
+  ]
+  if communicator.rank == 0:
+    _report(found, out, page, folder, no_videos)
+
+
+def _scores(
+  name: str,
+  policy: 'pretrained.Policy',
+  communicator: distributed.Communicator,
+) -> dict[str, Any]:
+  """Returns the scores of a policy."""
+  from dmc_multimode.evaluation import scores
+
   rates, disturbed = _rates(), _disturbed()
-  policy = pretrained.load(_POLICY.value)
-  encoder_seed = _encoder_seed(_POLICY.value)
+  encoder_seed = _encoder_seed(name)
   values = scores.evaluate(
     policy,
     _SEED.value,
@@ -109,8 +149,7 @@ def _evaluate(no_videos: str, communicator: distributed.Communicator) -> None:
     disturbed=disturbed,
   )
   values['provenance']['encoder_seed'] = encoder_seed
-  if communicator.rank == 0:
-    _report(policy, values, out, page, folder, no_videos)
+  return values
 
 
 def _disturbed() -> 'events.TrainingEvents':
@@ -133,8 +172,7 @@ def _encoder_seed(name: str) -> int | None:
 
 
 def _report(
-  policy: 'pretrained.Policy',
-  values: dict[str, Any],
+  found: Sequence[_Found],
   out: pathlib.Path | None,
   page: pathlib.Path | None,
   folder: pathlib.Path | None,
@@ -145,32 +183,67 @@ def _report(
   from dmc_multimode.evaluation import report
   from dmc_multimode.evaluation import scores
 
-  report.show(values)
+  first = found[0]
+  report.show(first.values)
   if out:
     out.parent.mkdir(parents=True, exist_ok=True)
-    files.write(out, json.dumps(values, indent=1).encode())
+    files.write(out, json.dumps(first.values, indent=1).encode())
     print(f'The report is in {out}')
   if not (folder or page):
     return
-  evaluator = scores.make_evaluator(
-    policy, _SEED.value, _TIMESTEP.value, disturbed=_disturbed()
-  )
-  drawn = report.draw(evaluator, values)
-  if folder:
-    for name, figure in drawn.items():
-      figures.save(folder / name, figure)
-    print(f'The figures are in {folder}')
+  shown = []
+  for each in found:
+    evaluator = scores.make_evaluator(
+      each.policy, _SEED.value, _TIMESTEP.value, disturbed=_disturbed()
+    )
+    drawn = report.draw(evaluator, each.values)
+    if folder and each is first:
+      for name, figure in drawn.items():
+        figures.save(folder / name, figure)
+      print(f'The figures are in {folder}')
+    if page:
+      images = report.pictures(drawn)
+      shown.append(_shown(each, evaluator.config, images, not no_videos))
   if page:
-    videos = {}
     if no_videos:
       print(f'No videos: {no_videos}')
-    else:
-      videos = report.film(
-        policy, evaluator.config, _SEED.value, _CLOCK_RATE.value
-      )
-    title = f'Evaluation of {_POLICY.value}'
-    report.write_page(page, title, values, drawn, videos, no_videos)
-    print(f'The page is {page}')
+    _write_page(page, shown, no_videos)
+
+
+def _shown(
+  found: _Found,
+  config: 'task_config.ImitationConfig',
+  images: Mapping[str, bytes],
+  with_videos: bool,
+) -> 'report_lib.Evaluated':
+  """Returns all that the page shows of a policy."""
+  from dmc_multimode.evaluation import report
+  from dmc_multimode.evaluation import task_summary
+
+  videos = {}
+  if with_videos:
+    videos = report.film(found.policy, config, _SEED.value, _CLOCK_RATE.value)
+  summary = task_summary.describe(
+    found.policy.mode_set, found.policy.config, config
+  )
+  return report.Evaluated(found.name, found.values, images, videos, summary)
+
+
+def _write_page(
+  page: pathlib.Path, shown: 'Sequence[report_lib.Evaluated]', note: str
+) -> None:
+  """Writes the page of one policy, or of two side by side."""
+  from dmc_multimode.evaluation import comparison
+  from dmc_multimode.evaluation import comparison_page
+  from dmc_multimode.evaluation import report
+
+  one, *others = shown
+  if others:
+    comparison.show(one, others[0])
+    comparison_page.write_page(page, one, others[0], note)
+  else:
+    report.write_page(page, one, note)
+  print(f'The page is {page}')
 
 
 def main(argv: Sequence[str]) -> int:

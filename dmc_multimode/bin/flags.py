@@ -7,14 +7,16 @@ folder is defined by `define_path`.
 A field `discount` of a class defined under the prefix 'ppo' becomes the flag
 `--ppo_discount`; the fields of a configuration in it are flags of their own.
 Its help comes from the docstring of the class, its parser from the type of the
-field. For schedules see `utils.schedule.parse`.
+field, and so do the bounds that the help states. For schedules see
+`utils.schedule.parse`. Flags of a configuration are a group of the help, under
+the first line of its class.
 """
 
 import dataclasses
 import inspect
 import re
 import typing
-from typing import Any, Iterator, Sequence
+from typing import Any, Iterator, Mapping, Sequence
 
 from absl import flags
 import pydantic
@@ -24,9 +26,11 @@ from dmc_multimode.utils import files
 from dmc_multimode.utils import schedule
 
 FLAGS = flags.FLAGS
-# Flags of paths are of the command that asks for them, as absl's own are. Those
-# of configurations are many, and of this module: `--helpfull` lists them.
+# Flags of paths are of the command that asks for them, as absl's own are.
 flags.disclaim_key_flags()
+# absl lists flags by module, and takes the group of a configuration for one.
+# The name of no other begins like this.
+_GROUP = '--'
 
 # Former names of flags -> their replacement, for the error.
 RENAMED = {
@@ -139,10 +143,14 @@ class _Parser(flags.ArgumentParser):
     self._is_list = typing.get_origin(plain) is tuple
     self._is_of_names = self._is_list and typing.get_args(plain)[0] is str
     is_schedule = plain is schedule.Schedule
-    self.syntactic_help = 'FIRST[:LAST][@START[:END]]' if is_schedule else ''
     self._adapter = pydantic.TypeAdapter(
       kind,
       config=None if is_schedule else pydantic.ConfigDict(allow_inf_nan=False),
+    )
+    self.syntactic_help = (
+      'a schedule over environment steps, FIRST[:LAST][@START[:END]]'
+      if is_schedule
+      else _describe(self._adapter.json_schema())
     )
 
   def parse(self, argument: Any) -> Any:
@@ -165,21 +173,51 @@ class _Serializer(flags.ArgumentSerializer):
     return ','.join(map(str, value if isinstance(value, tuple) else (value,)))
 
 
+def _describe(schema: Mapping[str, Any]) -> str:
+  """Returns the type and the bounds of a JSON schema in words; '' for text."""
+  kind = schema.get('type')
+  if kind == 'array':
+    if 'prefixItems' in schema:
+      return 'two numbers, LOW,HIGH'
+    items = re.sub('a (.*?number)', r'\1s', _describe(schema['items']))
+    return f'{items or "names"}, comma-separated'
+  nouns = {'number': 'a number', 'integer': 'a whole number'}
+  if kind not in nouns:
+    return ''
+  is_range = 'maximum' in schema or 'exclusiveMaximum' in schema
+  words = (
+    ('minimum', 'from' if is_range else 'at least'),
+    ('exclusiveMinimum', 'above'),
+    ('maximum', 'to'),
+    ('exclusiveMaximum', 'to below'),
+  )
+  bounds = [f'{word} {schema[key]:g}' for key, word in words if key in schema]
+  return ' '.join([nouns[kind], *bounds])
+
+
 def define(config: Any, prefix: str) -> None:
   """Defines a flag for every field of `config`, whose values are defaults."""
   kinds = typing.get_type_hints(type(config), include_extras=True)
   texts = _attributes(type(config))
+  title = inspect.cleandoc(type(config).__doc__ or '').partition('\n')[0]
+  group = f'{_GROUP}{prefix}_*: {title.rstrip(".")}'
   for field, default in _fields(config):
     name, text = f'{prefix}_{field}', texts.get(field, '')
     if _is_nested(default):
       define(default, name)
     elif isinstance(default, bool):
-      flags.DEFINE_bool(name, default, text, FLAGS, module_name=__name__)
+      flags.DEFINE_bool(name, default, text, FLAGS, module_name=group)
     else:
       parser, serializer = _Parser(kinds[field]), _Serializer()
       flags.DEFINE(
-        parser, name, default, text, FLAGS, serializer, module_name=__name__
+        parser, name, default, text, FLAGS, serializer, module_name=group
       )
+
+
+def help_texts() -> list[str]:
+  """Returns the help of each group of flags of configurations, by its name."""
+  groups = sorted(FLAGS.flags_by_module_dict())
+  return [FLAGS.module_help(g) for g in groups if g.startswith(_GROUP)]
 
 
 def read(config: Any, prefix: str) -> Any:

@@ -37,8 +37,8 @@ FORMULAS: Mapping[str, str] = {
   'odometry since the command, less the way of the reference',
   'clock_rate': 'rate of the clock; 1 is as the modes say',
   'previous_action': 'the action before; at the start q',
-  'ground_scan': 'clip(ground - support, -0.6, 0.6) at -0.18, -0.09, ... 1.17 '
-  'm along the heading from the trunk; -0.6 where there is none',
+  'ground_scan': '0.03 s ago: clip(ground - support, -0.6, 0.6) at -0.18, '
+  '-0.09, ... 1.17 m along the heading from the trunk; -0.6 for no ground',
 }
 _CLOCK: Mapping[str, Any] = {
   'start': 'phase = 0, heading = 0: the first mode',

@@ -1,13 +1,14 @@
 """Reports of an evaluation: tables, figures and an HTML page.
 
-The page is self-contained: figures and videos are embedded.
+The page is self-contained: figures and videos are embedded. One of two policies
+is of `comparison`.
 """
 
 import base64
 import json
 import pathlib
 import tempfile
-from typing import Any, Iterator, Mapping
+from typing import Any, Iterator, Mapping, NamedTuple, Sequence
 
 import jinja2
 import matplotlib
@@ -19,6 +20,7 @@ from dmc_multimode import pretrained
 from dmc_multimode.evaluation import evaluator as evaluator_lib
 from dmc_multimode.evaluation import figures
 from dmc_multimode.evaluation import motion_metrics
+from dmc_multimode.evaluation import task_summary
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.utils import files
@@ -63,6 +65,24 @@ _TITLES = {
 _VIDEO = recording.RecordingConfig(width=320, height=240)
 _SECONDS = 3.0  # Seconds of a video, at least.
 _AFTER = 1.0  # Seconds of a video after a mode's first cycle.
+
+
+class Evaluated(NamedTuple):
+  """A policy, and what a page shows of it.
+
+  Attributes:
+    name: of the policy.
+    values: result of `scores.evaluate`.
+    images: result of `pictures`.
+    videos: result of `film`; may be empty.
+    summary: result of `task_summary.describe`.
+  """
+
+  name: str
+  values: Mapping[str, Any]
+  images: Mapping[str, bytes] = {}
+  videos: Mapping[str, bytes] = {}
+  summary: Sequence[task_summary.Section] = ()
 
 
 def draw(
@@ -129,66 +149,41 @@ def film(
   return videos
 
 
-def write_page(
-  path: pathlib.Path,
-  title: str,
-  values: Mapping[str, Any],
-  drawn: Mapping[str, matplotlib.figure.Figure],
-  videos: Mapping[str, bytes],
-  note: str,
-) -> None:
-  """Writes the page of an evaluation, atomically.
+def write_page(path: pathlib.Path, found: Evaluated, note: str = '') -> None:
+  """Writes the page of an evaluation; see `page` and `write`."""
+  write(path, page(found, note))
 
-  Args:
-    path: of the page; missing folders are made.
-    title: of the page.
-    values: result of `scores.evaluate`.
-    drawn: result of `draw`.
-    videos: result of `film`; may be empty.
-    note: reason for no videos.
-  """
-  pictures = {_TITLES[name]: figures.png(drawn[name]) for name in drawn}
-  text = page(title, values, pictures, videos, note)
+
+def write(path: pathlib.Path, text: str) -> None:
+  """Writes a page, atomically; missing folders are made."""
   path.parent.mkdir(parents=True, exist_ok=True)
   files.write(path, text.encode())
 
 
-def page(
-  title: str,
-  values: Mapping[str, Any],
-  pictures: Mapping[str, bytes],
-  videos: Mapping[str, bytes],
-  note: str = '',
-) -> str:
+def pictures(
+  drawn: Mapping[str, matplotlib.figure.Figure],
+) -> dict[str, bytes]:
+  """Returns the figures of `draw` as PNG files by their titles."""
+  return {_TITLES[name]: figures.png(figure) for name, figure in drawn.items()}
+
+
+def page(found: Evaluated, note: str = '') -> str:
   """Returns the page as HTML, in which names and values are escaped.
 
   Args:
-    title: of the page.
-    values: result of `scores.evaluate`.
-    pictures: PNG files by their titles.
-    videos: MP4 files by mode.
+    found: of the evaluation.
     note: reason for no videos; empty if there are some.
   """
-  environment = jinja2.Environment(
-    loader=jinja2.PackageLoader(__package__, '.'),
-    autoescape=True,
-    undefined=jinja2.StrictUndefined,
-    trim_blocks=True,
-  )
-  environment.filters.update(data=_data, heat=_heat, number=_number)
-  measured = ('seed', 'episodes_per_case', 'clock_rate')
-  return environment.get_template(_TEMPLATE).render(
-    title=title,
+  values = found.values
+  return render(
+    _TEMPLATE,
+    title=f'Evaluation of {found.name}',
     values={'motion': {}, 'switching': {}, 'clock_rates': {}, **values},
-    figures=pictures,
-    videos=videos,
+    figures=found.images,
+    videos=found.videos,
     note=note,
-    columns=[
-      f'{name.replace("_", " ")} ({_UNITS[name]})'
-      if name in _UNITS
-      else name.replace('_', ' ')
-      for name in MODE_COLUMNS
-    ],
+    summary=found.summary,
+    columns=[column_title(name) for name in MODE_COLUMNS],
     mode_rows=[
       (name, *(f'{row[key]:.3f}' for key in MODE_COLUMNS))
       for name, row in values['modes'].items()
@@ -199,12 +194,38 @@ def page(
     ],
     criteria=list(_criteria(values)),
     motion_metrics=motion_metrics.TABLE,
-    provenance={
-      'Evaluation': list(_flat({key: values[key] for key in measured})),
-      'Policy': list(_flat(values['provenance'])),
-      'Task': list(_flat(values['task'])),
-    },
+    provenance=provenance(values),
   )
+
+
+def render(template: str, **values: Any) -> str:
+  """Returns a template of this folder with values, which are escaped."""
+  environment = jinja2.Environment(
+    loader=jinja2.PackageLoader(__package__, '.'),
+    autoescape=True,
+    undefined=jinja2.StrictUndefined,
+    trim_blocks=True,
+  )
+  environment.filters.update(data=_data, heat=colour, number=number)
+  return environment.get_template(template).render(**values)
+
+
+def column_title(metric: str) -> str:
+  """Returns a metric of `MODE_COLUMNS` in words, with its unit."""
+  unit = _UNITS.get(metric)
+  return metric.replace('_', ' ') + (f' ({unit})' if unit else '')
+
+
+def provenance(
+  values: Mapping[str, Any],
+) -> dict[str, list[tuple[str, str]]]:
+  """Returns all settings of an evaluation as rows of tables, by caption."""
+  measured = ('seed', 'episodes_per_case', 'clock_rate')
+  return {
+    'Evaluation': list(_flat({key: values[key] for key in measured})),
+    'Policy': list(_flat(values['provenance'])),
+    'Task': list(_flat(values['task'])),
+  }
 
 
 def _criteria(values: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
@@ -214,12 +235,12 @@ def _criteria(values: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
       keys = ('value', 'worst', 'least', 'most')
       yield {
         'name': f'{mode}: {metric}',
-        'numbers': [_number(row[key]) for key in keys],
+        'numbers': [number(row[key]) for key in keys],
         'passed': row['passed'],
       }
 
 
-def _number(value: float | None) -> str:
+def number(value: float | None) -> str:
   """Returns three decimals, nothing for None."""
   return '' if value is None else f'{value:.3f}'
 
@@ -229,9 +250,9 @@ def _data(content: bytes, kind: str) -> str:
   return f'data:{kind};base64,{base64.b64encode(content).decode()}'
 
 
-def _heat(share: float) -> str:
+def colour(share: float, colours: str = _COLOURS) -> str:
   """Returns the CSS style of a cell for a value in [0, 1]."""
-  red, green, blue, _ = matplotlib.colormaps[_COLOURS](share, bytes=True)
+  red, green, blue, _ = matplotlib.colormaps[colours](share, bytes=True)
   luminance = (0.2126 * red + 0.7152 * green + 0.0722 * blue) / 255
   ink = '#fff' if luminance < _DARK else '#000'
   return f'background:#{red:02x}{green:02x}{blue:02x};color:{ink}'
@@ -290,7 +311,7 @@ def _show_motion(values: Mapping[str, Any]) -> None:
   print(f'\n{"motion":32}' + ''.join(f'{name[-13:]:>14}' for name in modes))
   for metric in motion_metrics.TABLE:
     title = f'{metric.name} {metric.unit}'
-    cells = (f'{_number(row[metric.name]):>14}' for row in modes.values())
+    cells = (f'{number(row[metric.name]):>14}' for row in modes.values())
     print(f'{title:32}' + ''.join(cells))
 
 

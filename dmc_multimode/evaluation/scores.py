@@ -6,7 +6,7 @@ the highest reward that an episode earns, 1 being the most.
 
 import itertools
 import os
-from typing import Any, Sequence
+from typing import Any, Mapping, Sequence
 
 import numpy as np
 
@@ -37,7 +37,7 @@ def evaluate(
   communicator: distributed.Communicator = distributed.LOCAL,
   switching_episodes: int = 0,
   with_motion: bool = True,
-  disturbed: events.TrainingEvents = events.NONE,
+  disturbed: events.TrainingEvents | Mapping[str, float] = events.NONE,
 ) -> dict[str, Any]:
   """Evaluates every mode and every transition, deterministically.
 
@@ -53,7 +53,8 @@ def evaluate(
     communicator: of the ranks, which share the episodes.
     switching_episodes: of random switches, see `switching.evaluate`.
     with_motion: measures how the modes move, see `motion.evaluate`.
-    disturbed: what happens to all robots, see `events.fixed`.
+    disturbed: disturbances of all robots by name, as arguments of
+      `events.fixed`, or its result.
 
   Returns:
     JSON values: those of `report`, what is asked for besides, and the policy's
@@ -69,6 +70,8 @@ def evaluate(
     raise ValueError('clock_rates must be positive and finite.')
   if isinstance(policy, (str, os.PathLike)):
     policy = pretrained.load(policy)
+  if not isinstance(disturbed, events.TrainingEvents):
+    disturbed = events.fixed(**disturbed)
   evaluator = make_evaluator(
     policy, seed, physics_timestep, quiet, communicator, disturbed
   )

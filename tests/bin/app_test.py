@@ -10,18 +10,35 @@ from dmc_multimode.bin import app
 from dmc_multimode.utils import resources
 
 _ROOT = pathlib.Path(__file__).resolve().parents[2]
-_BINARY = """
+_BINARY = '''
 import sys
 sys.path.insert(0, {root!r})
 from absl import flags
 from dmc_multimode.bin import app
+from dmc_multimode.bin import flags as config_flags
+from dmc_multimode.utils import config
+
+@config.dataclass
+class Config:
+  """Things.
+
+  Attributes:
+    number: of things, kg.
+  """
+
+  number: config.PositiveInt = 3
+
 _STEPS = flags.DEFINE_integer('steps', 1, 'Steps.')
+flags.DEFINE_float('rate', 1.0, 'Rate.')
+flags.DEFINE_enum('kind', 'a', ['a', 'b'], 'Kind.')
+flags.DEFINE_bool('learn', False, 'Learns.')
+config_flags.define(Config(), 'x')
 
 def main(argv):
   {body}
 
 app.run(main)
-"""
+'''
 
 
 class Binary:
@@ -96,8 +113,15 @@ def test_arguments_that_are_no_flags(binary: Binary) -> None:
 @pytest.mark.parametrize(
   ('flag', 'line'),
   [
-    ('--stepz=3', "Unknown command line flag 'stepz'"),
-    ('--steps=many', 'flag --steps=many: invalid literal'),
+    ('--stepz=3', 'unknown flag --stepz: is it --steps? --help lists'),
+    ('--number=3', 'unknown flag --number: is it --x_number? --help lists'),
+    ('--unlike_any=3', 'unknown flag --unlike_any: --help lists all flags'),
+    ('--steps=many', '--steps=many: give a whole number'),
+    ('--rate=fast', '--rate=fast: give a number'),
+    ('--kind=c', '--kind=c: give one of a|b'),
+    ('--learn=maybe', '--learn=maybe: give true or false'),
+    ('--x_number=0', '--x_number=0: Input should be greater than 0, got'),
+    ('--steps', '--steps has no value: give --steps=VALUE'),
     ('--stderrthreshold=loud', '--stderrthreshold must be one of'),
     (f'--flagfile={sys.executable}', "'utf-8' codec can't decode"),
     (
@@ -112,6 +136,45 @@ def test_wrong_flags(binary: Binary, flag: str, line: str) -> None:
   assert (result.returncode, result.stdout) == (2, '')
   assert result.stderr.startswith(f'error: {line}')
   assert result.stderr.count('\n') == 1
+
+
+def test_a_flag_that_is_needed(binary: Binary) -> None:
+  needed = 'pass\nflags.DEFINE_string("out", None, "Where to.", required=True)'
+  result = binary(needed)
+  assert (result.returncode, result.stdout) == (2, '')
+  assert result.stderr == 'error: --out is needed: Where to.\n'
+
+
+@pytest.mark.parametrize(
+  'flag', ['--help', '-help', '--helpshort', '-?', '--helpfull']
+)
+def test_help_has_the_flags_of_configurations(
+  binary: Binary, flag: str
+) -> None:
+  result = binary('print("ran")', flag)
+  assert (result.returncode, result.stderr) == (0, '')
+  assert 'ran' not in result.stdout
+  assert (
+    "--steps: Steps.\n    (default: '1')\n    (an integer)" in result.stdout
+  )
+  assert (
+    '\n--x_*: Things:\n  --x_number: of things, kg.\n'
+    "    (default: '3')\n    (a whole number above 0)\n"
+  ) in result.stdout
+
+
+def test_help_is_no_value_and_no_argument(binary: Binary) -> None:
+  result = binary('print("ran", argv)', '--', '--help')
+  assert (result.returncode, result.stdout) == (2, '')
+  assert "unexpected argument '--help'" in result.stderr
+
+
+def test_help_that_is_cut_off() -> None:
+  command = f'{sys.executable} -m dmc_multimode.bin.curves --help | head -n 1'
+  done = subprocess.run(
+    command, shell=True, cwd=_ROOT, capture_output=True, text=True
+  )
+  assert (done.stdout.count('\n'), done.stderr) == (1, '')
 
 
 @pytest.mark.parametrize('name', ['curves', 'train'])

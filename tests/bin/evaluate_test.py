@@ -108,6 +108,32 @@ def test_page_where_nothing_draws(
   assert text.count('<img ') == 3 and '<video' not in text
 
 
+def test_two_policies_side_by_side(
+  evaluate: processes.Binary, policy: pathlib.Path, tmp_path: pathlib.Path
+) -> None:
+  other, page = tmp_path / 'other', tmp_path / 'page.html'
+  task = task_config.ImitationConfig(time_limit=0.9)
+  untrained.save(other, ('idle', 'launch'), task, {'steps': 24})
+  done = evaluate(
+    f'--policy={policy}',
+    f'--compare={other}',
+    '--episodes=1',
+    '--nomotion',
+    f'--html={page}',
+    f'--figures={tmp_path / "figures"}',
+    before="os.environ['MUJOCO_GL'] = 'nothing'; "
+    "sys.modules.pop('dm_control._render', None)",
+  )
+  assert done.code == 0, done.stderr
+  assert done.stdout.splitlines()[-1] == f'The page is {page}'
+  assert 'acceptance criteria passed' in done.stdout
+  text = page.read_text()
+  assert text.count('<img ') == 6
+  assert f'{other} alone has launch.' in text
+  assert 'task: time_limit' in text
+  assert len(list((tmp_path / 'figures').iterdir())) == 3
+
+
 def test_clock_rates_and_figures(
   evaluate: processes.Binary, policy: pathlib.Path, tmp_path: pathlib.Path
 ) -> None:
@@ -159,6 +185,8 @@ def test_clock_rates_and_figures(
     (['--friction=-1'], 'friction is at least 0'),
     (['--html={tmp}/new/report.html', '--episodes=0'], 'episodes'),
     (['--figures={tmp}/file'], 'file'),
+    (['--compare=pi2'], 'add --html=FILE'),
+    (['--html={tmp}/new/page.html', '--compare=fly'], "'fly'"),
   ],
   ids=lambda value: value if isinstance(value, str) else ' '.join(value),
 )

@@ -1,11 +1,13 @@
 """Tests of dmc_multimode.bin.flags."""
 
 import dataclasses
+import re
 from typing import Any, Iterator
 
 from absl import flags
 import pytest
 
+from dmc_multimode.agents.ppo import config as ppo_config
 from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.experiments import config as run_config
 from dmc_multimode.suite.imitation import disturbances
@@ -119,6 +121,74 @@ def test_help_is_what_the_class_says(parse: Any) -> None:
   assert texts['x_sizes'].startswith('of the network.')
   assert "default: '256,128'" in config_flags.FLAGS.get_help()
   parse()
+
+
+@pytest.mark.parametrize(
+  ('kind', 'words'),
+  [
+    (config_lib.NonNegative, 'a number at least 0'),
+    (config_lib.Share, 'a number from 0 to 1'),
+    (config_lib.PositiveInt, 'a whole number above 0'),
+    (
+      ppo_config.PPOConfig.__annotations__['discount'],
+      'a number from 0 to below 1',
+    ),
+    (float, 'a number'),
+    (str, ''),
+    (
+      tuple[config_lib.PositiveInt, ...],
+      'whole numbers above 0, comma-separated',
+    ),
+    (tuple[str, ...], 'names, comma-separated'),
+    (disturbances.Range, 'two numbers, LOW,HIGH'),
+    (
+      schedule.ShareField,
+      'a schedule over environment steps, FIRST[:LAST][@START[:END]]',
+    ),
+  ],
+)
+def test_types_and_bounds_in_words(parse: Any, kind: Any, words: str) -> None:
+  @dataclasses.dataclass
+  class Config:
+    field: kind = schedule.constant(0.5) if 'schedule' in words else None
+
+  config_flags.define(Config(), 'x')
+  parse()
+  assert config_flags.FLAGS['x_field'].parser.syntactic_help == words
+
+
+def test_groups_of_the_help(parse: Any) -> None:
+  config_flags.define(_Config(), 'x')
+  parse()
+  one, inner = config_flags.help_texts()
+  assert one.splitlines()[1] == '--x_*: Test configuration:'
+  assert one.count('(default: ') == len(_NAMES) - 1
+  assert inner == (
+    '\n--x_gains_*: Gains:\n  --x_gains_weight: of a term, from 0.\n'
+    "    (default: '0.5')\n    (a number at least 0)"
+  )
+
+
+def test_whatever_has_a_dimension_has_a_unit(parse: Any) -> None:
+  config = run_config.RunConfig()
+  for part in ('ppo', 'sampling', 'task'):
+    config_flags.define(getattr(config, part), part)
+  parse()
+  dimensional = re.compile(
+    r'.*_(angle|centre_of_mass|delay|distance|distance_slack|end|force|height'
+    r'|interval|limit|noise|payload|slope|speed|std|std_floor|steps|timestep)'
+  )
+  unit = re.compile(
+    r'\b(metres|seconds|radians|degrees|kg|newtons|m/s|steps|factor)\b'
+  )
+  found = [
+    name
+    for name in config_flags.FLAGS
+    if dimensional.fullmatch(name) and not config_flags.FLAGS[name].boolean
+  ]
+  assert len(found) > 20
+  for name in found:
+    assert unit.search(config_flags.FLAGS[name].help), name
 
 
 def test_every_configuration(parse: Any) -> None:

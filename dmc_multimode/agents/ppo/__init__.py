@@ -11,6 +11,7 @@ if TYPE_CHECKING:
   )
   from dmc_multimode.agents.ppo.builder import PPOBuilder as PPOBuilder
   from dmc_multimode.agents.ppo.config import PPOConfig as PPOConfig
+  from dmc_multimode.agents.ppo.fitting import fit as fit
   from dmc_multimode.agents.ppo.kickstarting import (
     ReferencePolicy as ReferencePolicy,
   )
@@ -27,6 +28,7 @@ _HOMES = {
   'PPOLearner': 'learning',
   'ReferencePolicy': 'kickstarting',
   'Rollouts': 'rollouts',
+  'fit': 'fitting',
 }
 __all__ = [
   'ActorCritic',
@@ -37,6 +39,7 @@ __all__ = [
   'PPOLearner',
   'ReferencePolicy',
   'Rollouts',
+  'fit',
 ]
 
 

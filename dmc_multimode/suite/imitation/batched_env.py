@@ -171,6 +171,11 @@ class BatchedImitation:
     )
 
   @property
+  def mode_names(self) -> tuple[str, ...]:
+    """Names of the modes, in the order of their indices."""
+    return self.mode_set.names
+
+  @property
   def control_timestep(self) -> float:
     """Seconds between actions."""
     return self.config.control_timestep

@@ -2,10 +2,14 @@
 
 import json
 import pathlib
+import shutil
+import types
+from typing import Any
 
 import pytest
 
 from dmc_multimode.experiments import config as run_config
+from dmc_multimode.pretrained import folder as folder_lib
 from tests.benchmarks import modules
 
 ship = modules.load('release.ship')
@@ -67,3 +71,32 @@ def test_a_policy_of_another_run_is_refused(tmp_path: pathlib.Path) -> None:
     ship.gather(run, run / 'policies/10', 20)
   with pytest.raises(FileNotFoundError, match='holds no policy'):
     ship.gather(run, run / 'policies/11', 20)
+
+
+def test_all_that_is_shipped(
+  tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  """A run that ended with the shipped pi2 ships the same again."""
+  shipped, run = folder_lib.find('pi2'), tmp_path / 'run'
+  shutil.copytree(shipped, run / 'policy')
+  provenance = json.loads((shipped / 'policy.json').read_text())['provenance']
+  (run / 'config.json').write_text(json.dumps({'run': provenance['run']}))
+  (run / 'metrics.csv').write_text(_CSV)
+  values = {'RUN_DIR': run, 'NAME': 'pi2', 'STEPS': None}
+  values |= {'CURVE_EVERY': 20, 'EPISODES': 4}
+  for name, value in values.items():
+    flag = types.SimpleNamespace(value=value)
+    monkeypatch.setattr(ship, f'_{name}', flag)
+  out = tmp_path / 'out'
+  monkeypatch.setattr(ship, 'shipped_folder', lambda name: out)
+
+  def evaluate(command: list[str], **kwargs: Any) -> None:
+    (report,) = [a for a in command if a.startswith('--out=')]
+    shutil.copy(shipped / 'metrics.json', report.removeprefix('--out='))
+
+  monkeypatch.setattr(ship.subprocess, 'run', evaluate)
+  ship.main(['ship'])
+  names = {path.name for path in out.iterdir()}
+  assert names == {path.name for path in shipped.iterdir()}
+  for name in names - {'training.csv'}:
+    assert (out / name).read_bytes() == (shipped / name).read_bytes(), name
