@@ -61,6 +61,7 @@ _SWITCHING = flags.DEFINE_bool(
 _SWITCHING_EPISODES = flags.DEFINE_integer(
   'switching_episodes', 256, 'Robots of each kind of --switching.', 1
 )
+_ROBOT = config_flags.define_robot()
 config_flags.define_disturbances()
 
 
@@ -94,7 +95,7 @@ def _evaluate(no_videos: str, communicator: distributed.Communicator) -> None:
   page = files.output_file('html', _HTML.value)
   folder = files.output_folder('figures', _FIGURES.value)
   rates, disturbed = _rates(), _disturbed()
-  policy = pretrained.load(_POLICY.value)
+  policy = pretrained.load(_POLICY.value, robot=_ROBOT.value or None)
   encoder_seed = _encoder_seed(_POLICY.value)
   values = scores.evaluate(
     policy,

@@ -190,10 +190,10 @@ def _foot_geoms(
     for geom in range(model.ngeom)
     if model.geom_bodyid[geom] == body and _collides(model)[geom]
   ]
-  found = [named] if named in own else own
+  found = own if named < 0 else [geom for geom in own if geom == named]
   if not found:
     raise ValueError(
-      f'the foot {foot!r} touches nothing: no geom of its body collides.'
+      f'the foot {foot!r} touches nothing: its geom does not collide.'
     )
   return found
 

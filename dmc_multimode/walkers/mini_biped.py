@@ -10,8 +10,6 @@ from dmc_multimode.walkers import robot as robot_lib
 from dmc_multimode.walkers import robot_walker
 
 SIDES = ('left', 'right')
-# Of one leg, from the trunk down.
-LEG_JOINTS = ('hip_yaw', 'hip_roll', 'hip_pitch', 'knee', 'ankle')
 # Of both legs, from the trunk down; the left leg's come first everywhere.
 JOINTS = robot_lib.mini_biped().joints
 

@@ -62,6 +62,8 @@ def derive(
   places = data.site_xpos[sites]
   pairs = []
   for i, j in enumerate(foot_order):
+    if i == j:
+      raise ValueError(f'the foot {feet[i]!r} has no mirror image.')
     if np.linalg.norm(places[j] - _VECTOR * places[i]) > _APART:
       raise ValueError(
         f'the feet {feet[i]!r} and {feet[j]!r} are not where each is the '
@@ -71,8 +73,6 @@ def derive(
       if places[i, 1] <= places[j, 1]:
         raise ValueError(f'feet: give {feet[j]!r}, the left one, first.')
       pairs.append((i, j))
-  if 2 * len(pairs) != len(feet):
-    raise ValueError('feet: each needs another on the other side.')
   mirror = Mirror(order, signs, foot_order, tuple(pairs))
   _verify(model, qpos, joints, mirror)
   return mirror
@@ -138,6 +138,11 @@ def _signs(
     mirrored = (_AXIAL if is_hinge else _VECTOR) * one
     sign = 1 if other @ mirrored > 0 else -1
     if np.linalg.norm(sign * other - mirrored) > _SAME_AXIS:
+      if i == j:
+        raise ValueError(
+          f'the joint {joints[i]!r} has no partner by its name, and is not its '
+          'own mirror image.'
+        )
       raise ValueError(
         f'the joints {joints[i]!r} and {joints[j]!r} have axes that are not '
         "each other's mirror image in the standing pose."

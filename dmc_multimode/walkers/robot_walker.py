@@ -169,7 +169,7 @@ class RobotWalker(legacy_base.Walker):
   def _site_around(self, geom: Any) -> Any:
     """Returns a site of a geom's shape and name, a little larger."""
     # Compiled, for much of a shape may be that of a class.
-    model = _compile(self._mjcf_root)
+    model = compile_model(self._mjcf_root)
     compiled = model.geom(geom.name)
     shape = _SHAPES.get(mujoco.mjtGeom(compiled.type[0]))
     if shape is None:
@@ -297,13 +297,15 @@ def compile_alone(walker: RobotWalker) -> mujoco.MjModel:
   walker.create_root_joints(arena.attach(walker))
   root = arena.mjcf_model
   root.option.noslip_iterations = 0
-  return _compile(root)
+  return compile_model(root)
 
 
-def _compile(root: mjcf.RootElement) -> mujoco.MjModel:
+def compile_model(root: mjcf.RootElement) -> mujoco.MjModel:
   """Compiles a model; raises ValueError in one line."""
   try:
-    spec = mujoco.MjSpec.from_string(root.to_xml_string(), root.get_assets())
+    spec = mujoco.MjSpec.from_string(
+      root.to_xml_string(), assets=root.get_assets()
+    )
     return spec.compile()
   except ValueError as error:
     reason = _first_line(error)
