@@ -183,6 +183,8 @@ def make_worlds(
   if isinstance(modes, str) and modes.startswith(_REACHING):
     from dmc_multimode.suite.reaching import worlds
 
+    if not robot_lib.find(robot).is_mini_biped:
+      raise ValueError('Tracks are crossed by the mini biped alone.')
     return worlds.ReachingWorlds(
       reaching_env.load_policy(policy),
       modes.removeprefix(_REACHING),

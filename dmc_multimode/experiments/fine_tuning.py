@@ -126,11 +126,11 @@ class Start:
           'give yours a name of its own.'
         )
     named = (*extra, *known.values())
+    height = self.policy.config.robot.stand_height
     if spec is None:
-      return library.resolve(
-        [*known, *(m.name for m in self.new(extra))], named
-      )
-    return library.resolve(spec, named)
+      every = [*known, *(m.name for m in self.new(extra))]
+      return library.resolve(every, named, height)
+    return library.resolve(spec, named, height)
 
   def check(self, config: run_config.RunConfig) -> None:
     """Raises ValueError if a configuration has another network."""

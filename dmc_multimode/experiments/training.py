@@ -114,7 +114,7 @@ def train(
     None if init_from is None else files.expand(init_from),
     mode_file,
     encoder,
-    None if robot is None else robot_lib.find(robot),
+    robot,
     overrides,
   )
   if wandb_project and communicator.rank == 0:
@@ -146,7 +146,7 @@ class _Request:
   init_from: str | None
   mode_file: Path | None
   encoder: Path | None
-  robot: robot_lib.Robot | None
+  robot: robot_lib.Robot | Path | None
   overrides: Mapping[str, Any]
 
   def configure(
@@ -159,13 +159,14 @@ class _Request:
     config = run_config.RunConfig()
     if self.steps is not None:
       config = dataclasses.replace(config, steps=self.steps)
-    if self.robot:
-      task = task_config.for_robot(config.task, self.robot)
+    robot = None if self.robot is None else robot_lib.find(self.robot)
+    if robot:
+      task = task_config.for_robot(config.task, robot)
       config = dataclasses.replace(config, task=task)
     motions: Motions = ()
     if start:
-      if self.robot:
-        policy_lib.check_robot(start.policy, self.robot, start.name)
+      if robot:
+        policy_lib.check_robot(start.policy, robot, start.name)
       motions = start.modes(self.modes, extra)
       config = start.config(motions, config.steps)
     threads = {'threads': distributed.local_cores()}
@@ -231,8 +232,8 @@ class _Request:
       )
       if value is not None
     }
-    if self.robot:
-      given['task_robot'] = self.robot
+    if self.robot is not None:
+      given['task_robot'] = robot_lib.find(self.robot)
     asked = run_config.overridden(config, given)
     for name, stored, wanted in run_config.differences(config, asked):
       hint = 'Leave that out to resume it, or name another folder.'

@@ -145,6 +145,17 @@ def _joints(model: mujoco.MjModel, robot: robot_lib.Robot) -> np.ndarray:
       f'the model has {model.nq} coordinates and {model.nu} actuators; a free '
       f'joint and {len(ids)} driven ones have {7 + len(ids)} and {len(ids)}.'
     )
+  if ids.tolist() != list(range(1, 1 + len(ids))):
+    ordered = sorted(
+      robot.joints, key=lambda name: model.joint(PREFIX + name).id
+    )
+    raise ValueError(
+      f'joints must be in the order of the model: {", ".join(ordered)}.'
+    )
+  if (model.actuator_trnid[:, 0] != ids).any():
+    raise ValueError('the servos are not in the order of the joints.')
+  if (model.actuator_gear[:, 0] != 1).any():
+    raise ValueError("the model's servos have gears: declare servos.")
   return ids
 
 

@@ -257,6 +257,7 @@ def from_dict(values: Mapping[str, Any]) -> Robot:
         for name, content in values['assets'].items()
       },
     )
+    robot_files.check(model)
     robot = Robot(declaration, model)
     if robot.digest != values['digest']:
       raise ValueError('its declaration or model is not that of its hash')
@@ -294,12 +295,19 @@ def _parse(content: bytes, path: pathlib.Path) -> Robot:
 
 
 def _digest(declaration: Declaration, model: robot_files.Model) -> str:
-  """Returns the hash of a robot, hexadecimal."""
+  """Returns the hash of a robot, hexadecimal.
+
+  Fields that a declaration leaves out are none of it, so that it stays what it
+  is when later versions have more.
+  """
+  declared = {
+    field: value
+    for field, value in config.to_dict(declaration).items()
+    if value is not None and value != {}
+  }
   assets = {
     name: hashlib.sha256(content).hexdigest()
     for name, content in model.assets.items()
   }
-  text = json.dumps(
-    [config.to_dict(declaration), model.xml, assets], sort_keys=True
-  )
+  text = json.dumps([declared, model.xml, assets], sort_keys=True)
   return hashlib.sha256(text.encode()).hexdigest()

@@ -8,6 +8,7 @@ tasks have their own.
 """
 
 import pathlib
+import re
 from typing import Iterator, NamedTuple
 from xml.etree import ElementTree
 
@@ -32,6 +33,7 @@ _KEPT = (
 )
 # Of the world in the file, but not of the robot.
 _SCENERY = ('geom', 'site', 'light', 'camera')
+_NOT_FINITE = re.compile(r'[-+]?(nan|inf|infinity)', re.IGNORECASE)
 _REFUSED = {
   'attach': 'names another model',
   'model': 'names another model',
@@ -47,6 +49,7 @@ _FOLDERS = {  # Attributes of the compiler: the folders of assets.
   'mesh': ('meshdir', 'assetdir'),
   'texture': ('texturedir', 'assetdir'),
 }
+_DIRECTORIES = ('meshdir', 'texturedir', 'assetdir', 'strippath')
 _FILES = ('file', *(f'file{side}' for side in ('right', 'left', 'up', 'down')))
 _FILES += ('filefront', 'fileback')
 
@@ -79,11 +82,44 @@ def read(folder: pathlib.Path, name: str, trunk: str) -> Model:
   root = reader.parse(name)
   reader.include(root)
   _check_elements(root)
-  assets = reader.assets(root)
+  assets = reader.read_assets(root)
   for section in [part for part in root if part.tag not in _KEPT]:
     root.remove(section)
   _leave_scenery(root, trunk)
   return Model(ElementTree.tostring(root, encoding='unicode'), assets)
+
+
+def check(model: Model) -> None:
+  """Checks a model that was not read here, such as that of a policy's file.
+
+  Raises:
+    ValueError: in one line, it is none that `read` returns.
+  """
+  if len(model.xml) > 4 * MAX_MODEL_BYTES:
+    raise ValueError('the model is too large.')
+  if sum(map(len, model.assets.values())) > MAX_ASSET_BYTES:
+    raise ValueError('the meshes and textures are too large.')
+  root = _parsed(model.xml, 'the model')
+  _check_elements(root)
+  for element in root.iter():
+    if element.tag == 'include' or set(element.attrib) & {*_DIRECTORIES}:
+      raise ValueError('the model reads other files.')
+  for element, attribute in _files(root):
+    if element.attrib[attribute] not in model.assets:
+      raise ValueError('the model reads other files.')
+
+
+def _parsed(text: str, what: str) -> ElementTree.Element:
+  """Returns the root of an MJCF text; `what` is for the errors."""
+  try:
+    if '<!DOCTYPE' in text or '<!ENTITY' in text:
+      raise ValueError('it declares entities')
+    root = ElementTree.fromstring(text)
+  except (ElementTree.ParseError, ValueError) as error:
+    raise ValueError(f'{what} is not MJCF: {error}.') from None
+  if root.tag not in ('mujoco', 'mujocoinclude'):
+    raise ValueError(f'{what} is not MJCF: <{root.tag}>.')
+  return root
 
 
 class _Reader:
@@ -118,16 +154,9 @@ class _Reader:
     content = self._content(name, 'the model', MAX_MODEL_BYTES)
     try:
       text = content.decode('utf-8-sig')
-      if '<!DOCTYPE' in text or '<!ENTITY' in text:
-        raise ValueError('it declares entities')
-      root = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError) as error:
-      raise ValueError(
-        f'the model {name!r:.80} is not MJCF: {error}.'
-      ) from None
-    if root.tag not in ('mujoco', 'mujocoinclude'):
-      raise ValueError(f'the model {name!r:.80} is not MJCF: <{root.tag}>.')
-    return root
+    except UnicodeDecodeError:
+      raise ValueError(f'the model {name!r:.80} is not UTF-8.') from None
+    return _parsed(text, f'the model {name!r:.80}')
 
   def include(self, root: ElementTree.Element) -> None:
     """Replaces includes by what they include, in place."""
@@ -144,11 +173,11 @@ class _Reader:
         for offset, part in enumerate(included):
           parent.insert(place + offset, part)
 
-  def assets(self, root: ElementTree.Element) -> dict[str, bytes]:
+  def read_assets(self, root: ElementTree.Element) -> dict[str, bytes]:
     """Reads the files of assets, and renames them in the MJCF."""
     folders: dict[str, str] = {}
     for compiler in root.iter('compiler'):
-      for option in ('meshdir', 'texturedir', 'assetdir', 'strippath'):
+      for option in _DIRECTORIES:
         value = compiler.attrib.pop(option, None)
         if value is not None:
           folders[option] = value
@@ -198,6 +227,11 @@ def _check_elements(root: ElementTree.Element) -> None:
       raise ValueError(
         f'the model has <{element.tag}>, which {_REFUSED[element.tag]}.'
       )
+    for name, value in element.attrib.items():
+      if any(map(_NOT_FINITE.fullmatch, value.split())):
+        raise ValueError(
+          f'<{element.tag}> has {name} {value!r:.40}, which is not finite.'
+        )
     if element.tag == 'compiler' and 'settotalmass' in element.attrib:
       raise ValueError(
         'the compiler has settotalmass, which would change the arena as well.'

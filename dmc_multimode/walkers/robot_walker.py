@@ -63,7 +63,7 @@ class RobotWalker(legacy_base.Walker):
     self._check_names()
     self._free_trunk()
     self._drive()
-    self._touches = tuple(self._touch(foot) for foot in robot.declaration.feet)
+    self._touches = self._touch_sensors()
     self._prev_action = np.zeros(robot.num_joints)
     if bounded:
       # dm_control's `action_spec` ignores default classes, and would bound the
@@ -155,22 +155,30 @@ class RobotWalker(legacy_base.Walker):
         f'declared ({", ".join(driven) or "none"}): declare servos.'
       )
 
-  def _touch(self, foot: str) -> Any:
-    """Returns the touch sensor of a foot, which is made where there is none."""
-    root = self._mjcf_root
-    site = root.find('site', foot)
-    if site is None:
-      site = self._site_around(root.find('geom', foot))
-    for sensor in root.sensor.get_children('touch'):
-      if sensor.site == site:
-        return sensor
-    return root.sensor.add('touch', name=foot, site=site)
+  def _touch_sensors(self) -> tuple[Any, ...]:
+    """Returns touch sensors of the feet, in their order.
 
-  def _site_around(self, geom: Any) -> Any:
-    """Returns a site of a geom's shape and name, a little larger."""
-    # Compiled, for much of a shape may be that of a class.
-    model = compile_model(self._mjcf_root)
-    compiled = model.geom(geom.name)
+    Those that the model has in this order are left; others are made.
+    """
+    root, feet = self._mjcf_root, self.robot.declaration.feet
+    geoms = [foot for foot in feet if root.find('site', foot) is None]
+    if geoms:
+      # Compiled, for much of a shape may be that of a class.
+      model = compile_model(root)
+      for foot in geoms:
+        self._add_site(root.find('geom', foot), model.geom(foot))
+    sites = [root.find('site', foot) for foot in feet]
+    mine = [s for s in root.sensor.get_children('touch') if s.site in sites]
+    if [sensor.site for sensor in mine] == sites:
+      return tuple(mine)
+    for sensor in mine:
+      sensor.remove()
+    return tuple(
+      root.sensor.add('touch', name=site.name, site=site) for site in sites
+    )
+
+  def _add_site(self, geom: Any, compiled: Any) -> None:
+    """Adds a site of a geom's shape and name, a little larger."""
     shape = _SHAPES.get(mujoco.mjtGeom(compiled.type[0]))
     if shape is None:
       raise ValueError(
@@ -178,7 +186,7 @@ class RobotWalker(legacy_base.Walker):
         'declare a site in its place.'
       )
     used = np.where(compiled.size > 0, compiled.size + _MARGIN, 0.0)
-    return geom.parent.add(
+    geom.parent.add(
       'site',
       name=geom.name,
       type=shape,

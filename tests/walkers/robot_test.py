@@ -147,6 +147,15 @@ def test_round_trip(four_legs: robot_lib.Robot) -> None:
   values['model'] = values['model'].replace('mass="2"', 'mass="3"')
   with pytest.raises(ValueError, match='not that of its hash'):
     robot_lib.from_dict(values)
+  for more, reason in (
+    ('<include file="x.xml"/>', 'reads other files'),
+    ('<compiler meshdir="/"/>', 'reads other files'),
+    ('<asset><mesh file="/x.stl"/></asset>', 'reads other files'),
+    ('<extension/>', 'loads plugins'),
+  ):
+    xml = four_legs.model.xml.replace('</mujoco>', f'{more}</mujoco>')
+    with pytest.raises(ValueError, match=reason):
+      robot_lib.from_dict({**values, 'model': xml})
   with pytest.raises(ValueError, match="not a robot: it lacks 'model'"):
     robot_lib.from_dict({'declaration': values['declaration']})
 
@@ -256,6 +265,7 @@ def test_bad_declarations(
      'the centre of mass is not over the feet'),
     ('</worldbody>', '<body name="box"/></worldbody>', 'model has base, box'),
     ('<freejoint/>', '<replicate count="999999"/>', 'makes many bodies of one'),
+    ('mass=".3"', 'mass="nan"', "has mass 'nan', which is not finite"),
     ('</mujoco>', '<extension/></mujoco>', 'loads plugins'),
     ('</mujoco>', '<asset><texture name="t" type="2d" builtin="flat" '
      'width="99999" height="9"/></asset></mujoco>', "has width '99999'"),

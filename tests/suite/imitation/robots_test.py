@@ -2,7 +2,8 @@
 
 import dataclasses
 import pathlib
-from typing import Any
+import re
+from typing import Any, Callable
 
 import numpy as np
 import pytest
@@ -244,6 +245,70 @@ def test_robot_and_config_must_agree(robot: robot_lib.Robot) -> None:
   assert multimode_biped.config_for(None, config) is config
   with pytest.raises(ValueError, match='the config is of the robot mini_biped'):
     multimode_biped.config_for(robot, task_config.ImitationConfig())
+
+
+# Attributes of the model, and the power of the size that they grow with, for a
+# robot that moves alike: times grow with its root.
+_POWERS = {
+  'pos': 1,
+  'fromto': 1,
+  'size': 1,
+  'mass': 3,
+  'diaginertia': 5,
+  'armature': 5,
+  'damping': 4.5,
+  'frictionloss': 4,
+  'kp': 4,
+  'kv': 4.5,
+  'forcerange': 4,
+}
+
+
+def _scaled(factor: float) -> Callable[[re.Match[str]], str]:
+  """Returns a replacement of the numbers of an attribute."""
+
+  def replacement(found: re.Match[str]) -> str:
+    numbers = (f'{factor * float(n):.9g}' for n in found[2].split())
+    return found[1] + ' '.join(numbers)
+
+  return replacement
+
+
+def _small_biped(folder: pathlib.Path, size: float) -> robot_lib.Robot:
+  """Returns a mini biped of another size, in files of its own."""
+  source = robot_lib.resources.path('xml', 'mini_biped.xml').parent
+  text = (source / 'mini_biped.xml').read_text()
+  for name, power in _POWERS.items():
+    text = re.sub(rf'(\b{name}=")([^"]+)', _scaled(size**power), text)
+  (folder / 'small.xml').write_text(text)
+  declared = (source / 'mini_biped.yaml').read_text()
+  declared = declared.replace('model: mini_biped', 'model: small')
+  path = folder / 'small.yaml'
+  path.write_text(declared.replace('name: mini_biped', 'name: small'))
+  return robot_lib.load(path)
+
+
+def test_library_modes_of_a_small_biped(tmp_path: pathlib.Path) -> None:
+  small = _small_biped(tmp_path, 0.64)
+  mini = robot_lib.mini_biped().derived
+  assert small.stand_height == 0.32
+  assert small.derived.mass == pytest.approx(mini.mass * 0.64**3)
+  # Angles do not know of sizes.
+  np.testing.assert_allclose(
+    small.derived.standing_action, mini.standing_action, atol=1e-6
+  )
+  task = multimode_biped.make_modes_task('pi_all', robot=small)
+  launch = task.mode_set.motions[task.mode_set.index('launch')]
+  assert launch.duration == pytest.approx(1.1 * 0.8)
+  assert launch.ledge and launch.ledge.height == pytest.approx(0.4 * 0.64)
+  worlds = batched_env.BatchedImitation(task, 32, 0, 1)
+  worlds.reset()
+  action = np.tile(worlds.standing_action(), (32, 1))
+  steps = [worlds.step(action) for _ in range(40)]
+  assert all(np.isfinite(step.observation).all() for step in steps)
+  tops = worlds.core.terrain.tops
+  known = 0.4 * 0.64 * np.array([-1.0, 0.0, 1.0])
+  assert np.isclose(tops[..., None], known).any(axis=-1).all()
 
 
 def test_a_named_robot_of_the_mini_bipeds_is_the_default() -> None:
