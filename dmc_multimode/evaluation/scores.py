@@ -183,7 +183,7 @@ def evaluate_acceptance(
         'most': found.most if np.isfinite(found.most) else None,
         'passed': found.passed,
       }
-      for found in acceptance.check(mode, traces)
+      for found in acceptance.check(mode, traces, evaluator.config.robot.size)
     }
   return result
 

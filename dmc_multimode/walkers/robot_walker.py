@@ -168,6 +168,9 @@ class RobotWalker(legacy_base.Walker):
       for foot in geoms:
         self._add_site(root.find('geom', foot), model.geom(foot))
     sites = [root.find('site', foot) for foot in feet]
+    for site in sites:
+      if site.parent.name is None:  # dm_control's end effectors have names.
+        site.parent.name = f'{site.name}_body'
     mine = [s for s in root.sensor.get_children('touch') if s.site in sites]
     if [sensor.site for sensor in mine] == sites:
       return tuple(mine)

@@ -360,6 +360,11 @@ def _with_sites(files: _Copy) -> None:
   files.declare(feet=list(_LEGS))
 
 
+def _without_names_of_bodies(files: _Copy) -> None:
+  for leg in _LEGS:
+    files.edit(f'<body name="{leg}_calf"', '<body')
+
+
 def _with_own_servos(files: _Copy) -> None:
   servos = ''.join(
     f'<position joint="{name}" kp="20" kv=".5" forcerange="-12 12" '
@@ -370,7 +375,9 @@ def _with_own_servos(files: _Copy) -> None:
   files.declare(servos=None)
 
 
-@pytest.mark.parametrize('change', [_with_sites, _with_own_servos])
+@pytest.mark.parametrize(
+  'change', [_with_sites, _with_own_servos, _without_names_of_bodies]
+)
 def test_other_ways_to_say_the_same(
   files: _Copy, four_legs: robot_lib.Robot, change: Callable[[_Copy], None]
 ) -> None:
