@@ -34,6 +34,7 @@ if TYPE_CHECKING:
   from dmc_multimode.suite.imitation.config import ImitationConfig
   from dmc_multimode.suite.reaching.worlds import ReachingWorlds
   from dmc_multimode.viewer.recording import record
+  from dmc_multimode.walkers.robot import Robot
 
 __version__ = '0.1.0'
 __all__ = [
@@ -79,7 +80,8 @@ def load(task: str, **task_kwargs: Any) -> 'dm_env.Environment':
   Args:
     task: name of a mode, a set of modes, or `reach_` and a track.
     **task_kwargs: for the task's factory: `random`, a seed; `time_limit`,
-      seconds; `environment_kwargs`; `config` and `arena` of modes and sets;
+      seconds; `environment_kwargs`; `config`, `arena` and `robot`, a declared
+      robot or its file, of modes and sets;
       `policy` of the tasks `reach_*`.
 
   Raises:
@@ -129,6 +131,8 @@ def make_worlds(
   num_threads: int = 0,
   auto_reset: bool = True,
   privileged: bool = False,
+  *,
+  robot: 'str | os.PathLike[str] | Robot | None' = None,
 ) -> 'BatchedImitation': ...
 
 
@@ -143,6 +147,7 @@ def make_worlds(
   privileged: bool = False,
   policy: 'str | os.PathLike[str] | Policy' = 'pi2',
   sizes: 'Mapping[str, float] | None' = None,
+  robot: 'str | os.PathLike[str] | Robot | None' = None,
 ) -> 'BatchedImitation | ReachingWorlds':
   """Returns many worlds of one task, stepped together; call `reset` first.
 
@@ -161,6 +166,8 @@ def make_worlds(
     privileged: appends the privileged critic observations.
     policy: of a task `reach_*`: turns modes into motion.
     sizes: of its track, where they are not its defaults.
+    robot: declared robot, or its file, for named modes and for a `ModeSet`
+      without a `config`; the mini biped by default. A policy's must be this.
 
   Raises:
     FileNotFoundError, TypeError: `modes` or `policy` is not a policy.
@@ -171,10 +178,13 @@ def make_worlds(
   from dmc_multimode.suite.imitation import batched_env
   from dmc_multimode.suite.imitation import config as task_config
   from dmc_multimode.suite.reaching import environment as reaching_env
+  from dmc_multimode.walkers import robot as robot_lib
 
   if isinstance(modes, str) and modes.startswith(_REACHING):
     from dmc_multimode.suite.reaching import worlds
 
+    if not robot_lib.find(robot).is_mini_biped:
+      raise ValueError('Tracks are crossed by the mini biped alone.')
     return worlds.ReachingWorlds(
       reaching_env.load_policy(policy),
       modes.removeprefix(_REACHING),
@@ -185,11 +195,16 @@ def make_worlds(
       auto_reset=auto_reset,
     )
   if isinstance(modes, mode_set_lib.ModeSet):
+    config = multimode_biped.config_for(robot, config)
     task = multimode_biped.make_task(modes, arena=arena, config=config)
   elif isinstance(modes, Sequence):
-    task = multimode_biped.make_modes_task(modes, config=config, arena=arena)
+    task = multimode_biped.make_modes_task(
+      modes, config=config, arena=arena, robot=robot
+    )
   else:
     named = reaching_env.load_policy(modes)
+    if robot is not None and robot_lib.find(robot) != named.config.robot:
+      raise ValueError(f'The policy is of the robot {named.config.robot}.')
     config = config or task_config.evaluated(named.config)
     task = multimode_biped.make_task(named.mode_set, arena=arena, config=config)
   return batched_env.BatchedImitation(

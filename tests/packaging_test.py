@@ -16,7 +16,7 @@ import pytest
 
 _ROOT = pathlib.Path(__file__).resolve().parent.parent
 _DATA = {  # Folder -> pattern of the files that must be shipped.
-  'xml': '*.xml',
+  'xml': '*.*ml',
   'flags': '*.flags',
   'pretrained': '**/*',
   'evaluation': '*.j2',
@@ -102,6 +102,7 @@ def test_wheel_holds_code_and_data(wheel: pathlib.Path) -> None:
     if path.is_file() and path.suffix not in ('.py', '.pyc')
   }
   assert 'dmc_multimode/xml/scene.xml' in data
+  assert 'dmc_multimode/xml/mini_biped.yaml' in data
   assert 'dmc_multimode/flags/pi2.flags' in data
   assert code | data | {'dmc_multimode/py.typed'} <= held
   tops = {name.split('/')[0] for name in held}

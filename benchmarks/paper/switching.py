@@ -29,9 +29,9 @@ from dmc_multimode.experiments import symmetry
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import config as task_config
-from dmc_multimode.suite.imitation import observations
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import files
+from dmc_multimode.walkers import mini_biped
 
 _POLICY = config_flags.define_path('policy', 'pi2', 'The multimodal policy.')
 _BEFORE = config_flags.define_path(
@@ -76,7 +76,7 @@ class HardSwitch:
     running = self._mode_of(torch.from_numpy(observation)).numpy()
     start, end = self._mode_of.part.start, self._mode_of.part.stop
     actions = np.zeros(
-      (len(observation), observations.NUM_JOINTS), dtype=np.float32
+      (len(observation), len(mini_biped.JOINTS)), dtype=np.float32
     )
     for i, policy in enumerate(self._policies):
       mine = observation[running == i]

@@ -70,6 +70,7 @@ _SWITCHING = flags.DEFINE_bool(
 _SWITCHING_EPISODES = flags.DEFINE_integer(
   'switching_episodes', 256, 'Robots of each kind of --switching.', 1
 )
+_ROBOT = config_flags.define_robot()
 config_flags.define_disturbances()
 
 
@@ -117,7 +118,9 @@ def _evaluate(no_videos: str, communicator: distributed.Communicator) -> None:
         '--compare shows two policies on a page: add --html=FILE'
       )
   # All are loaded before one takes its time.
-  policies = [pretrained.load(name) for name in names]
+  policies = [
+    pretrained.load(name, robot=_ROBOT.value or None) for name in names
+  ]
   found = [
     _Found(name, policy, _scores(name, policy, communicator))
     for name, policy in zip(names, policies, strict=True)

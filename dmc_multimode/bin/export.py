@@ -24,6 +24,7 @@ from dmc_multimode.utils import files
 _POLICY = config_flags.define_path(
   'policy', 'pi2', 'Name of a shipped policy, or folder of a policy or a run.'
 )
+_ROBOT = config_flags.define_robot()
 _FORMAT = flags.DEFINE_enum(
   'format', 'onnx', ['onnx', 'mjcf'], 'A policy, or robot and track.'
 )
@@ -38,7 +39,7 @@ _TIMESTEP = flags.DEFINE_float(
   'physics_timestep', None, "Of a model: seconds; the tasks' own by default."
 )
 _OF = {
-  'onnx': ('policy',),
+  'onnx': ('policy', 'robot'),
   'mjcf': ('arena', 'sizes', 'seed', 'physics_timestep'),
 }
 
@@ -49,7 +50,8 @@ def _write_policy(out: pathlib.Path) -> None:
   from dmc_multimode import pretrained
   from dmc_multimode.deployment import onnx_export
 
-  apart = onnx_export.write(pretrained.load(_POLICY.value), out)
+  policy = pretrained.load(_POLICY.value, robot=_ROBOT.value or None)
+  apart = onnx_export.write(policy, out)
   print(f'greatest difference from torch: {apart:.2e} rad')
   for path in (out, out.with_suffix('.json')):
     print(f'wrote {path} ({path.stat().st_size} bytes)')

@@ -109,6 +109,16 @@ def define_paths(
   return flags.DEFINE_multi(parser, serializer, name, default, text, FLAGS)
 
 
+def define_robot() -> flags.FlagHolder[str | None]:
+  """Defines --robot of a command that has a policy already."""
+  return define_path(
+    'robot',
+    None,
+    'File of the robot that the policy must have been trained for; its own is '
+    'in its files.',
+  )
+
+
 def define_sizes() -> flags.FlagHolder[list[str]]:
   """Defines --sizes, for `read_sizes`."""
   return flags.DEFINE_list(
@@ -285,4 +295,5 @@ def _is_nested(value: Any) -> bool:
 
 def _fields(config: Any) -> Iterator[tuple[str, Any]]:
   for field in dataclasses.fields(config):
-    yield field.name, getattr(config, field.name)
+    if field.metadata.get('flag', True):
+      yield field.name, getattr(config, field.name)

@@ -54,6 +54,7 @@ _COMPARE = config_flags.define_path(
   None,
   'Another policy to show beside, or an .mp4 file that was recorded before.',
 )
+_ROBOT = config_flags.define_robot()
 _SLOW_MOTION = flags.DEFINE_float('slow_motion', 1.0, 'Times slower than life.')
 
 
@@ -83,6 +84,7 @@ def main(argv: Sequence[str]) -> None:
     physics_timestep=_PHYSICS_TIMESTEP.value,
     terminate=_TERMINATE.value,
     compare=_COMPARE.value,
+    robot=_ROBOT.value or None,
   )
   for outcome in recording.outcomes:
     print(outcome)

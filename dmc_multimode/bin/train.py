@@ -61,6 +61,12 @@ _MODES = flags.DEFINE_string(
   'Name of a mode set, or comma-separated modes; quickstart by default. With '
   '--init_from by default those of the policy and of --mode_file.',
 )
+_ROBOT = config_flags.define_path(
+  'robot',
+  None,
+  'YAML or JSON file of a robot; the mini biped by default, or that of the '
+  'policy or run to go on with.',
+)
 _DEVICE = flags.DEFINE_enum(
   'device', 'cpu', ['cpu', 'cuda'], 'Where networks are, and learn.'
 )
@@ -144,6 +150,7 @@ def _train(
     init_from=_INIT_FROM.value or None,
     mode_file=_MODE_FILE.value or None,
     encoder=_ENCODER.value or None,
+    robot=_ROBOT.value or None,
     minutes=_MINUTES.value,
     keep_every=_KEEP_EVERY.value,
     device=device,

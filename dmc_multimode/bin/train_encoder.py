@@ -51,7 +51,9 @@ def main(argv: Sequence[str]) -> None:
   from dmc_multimode.modes.encoder import training as encoder_training
 
   config = mode_encoder.EncoderConfig(
-    use_contacts=encoder_training.needs_contacts(motions), seed=_SEED.value
+    use_contacts=encoder_training.needs_contacts(motions),
+    seed=_SEED.value,
+    num_feet=motion_lib.num_feet(motions),
   )
   trained = _train(motions, config)
   print(tables(trained))
@@ -103,7 +105,7 @@ def draw(trained: 'mode_encoder.ModeEncoder') -> 'matplotlib.figure.Figure':
     other.sharey(axes[2, 0])
   reconstructed = trained.reconstruct(motions)
   for column, motion in enumerate(motions):
-    wanted = network.features(motion, trained.config.use_contacts)
+    wanted = network.features(motion, *trained.config.contacts)
     times = np.linspace(0.0, motion.duration, len(wanted))
     for row, path in enumerate((wanted, reconstructed[column])):
       for axis, colour in zip(range(3), ('C0', 'C1', 'C2'), strict=True):

@@ -18,8 +18,8 @@ from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import mujoco_worlds
 from dmc_multimode.suite.imitation import observations
-from dmc_multimode.utils import constants
-from dmc_multimode.walkers import mini_biped
+from dmc_multimode.walkers import derivation
+from dmc_multimode.walkers import robot as robot_lib
 
 FORMAT = 'dmc_multimode.deployment.1'
 # Of the parts of the observation, in symbols of a free joint: position p and
@@ -65,6 +65,7 @@ _TORQUE = 'clip(stiffness (action - q) - damping dq/dt, -limit, limit)'
 def describe(policy: pretrained.Policy) -> dict[str, Any]:
   """Returns the description of a policy, JSON values."""
   config = task_config.evaluated(policy.config)
+  robot = config.robot
   model = mujoco_worlds.compile_model(
     multimode_biped.make_task(policy.mode_set, config=config)
   )
@@ -77,31 +78,36 @@ def describe(policy: pretrained.Policy) -> dict[str, Any]:
     'clock': dict(_CLOCK),
     'reference': dict(_REFERENCE),
     'observation': parts(
-      policy.mode_set.latent_dim, policy.config.extra_observations
+      policy.mode_set.latent_dim, policy.config.extra_observations, robot
     ),
     'frames': dict(observations.FRAMES),
     'quaternion': {'order': 'w, x, y, z', 'sign': 'w >= 0', 'norm': 1.0},
-    'joints': list(mini_biped.JOINTS),
-    **_robot(model),
+    'joints': list(robot.joints),
+    **_robot(model, robot),
     'start': {
-      'height': constants.STAND_HEIGHT,
-      'joints_pos': [0.0] * len(mini_biped.JOINTS),
+      'height': robot.stand_height,
+      'joints_pos': robot.derived.pose.tolist(),
     },
     'fallen_below': policy.config.limits.height,
   }
 
 
-def parts(latent_dim: int, extra: Iterable[str] = ()) -> list[dict[str, Any]]:
+def parts(
+  latent_dim: int,
+  extra: Iterable[str] = (),
+  robot: robot_lib.Robot | None = None,
+) -> list[dict[str, Any]]:
   """Returns the parts of the observation in their order.
 
   Args:
     latent_dim: n_m.
     extra: names of the parts beyond the paper's.
+    robot: the mini biped by default.
   """
   found: list[dict[str, Any]] = []
   for term, (name, size) in zip(
     observations.terms(extra=extra),
-    observations.layout(latent_dim, extra=extra),
+    observations.layout(latent_dim, extra=extra, robot=robot),
     strict=True,
   ):
     found.append(
@@ -139,9 +145,9 @@ def _modes(
   ]
 
 
-def _robot(model: mujoco.MjModel) -> dict[str, Any]:
+def _robot(model: mujoco.MjModel, robot: robot_lib.Robot) -> dict[str, Any]:
   """Returns what the action means, and the servos, of a compiled model."""
-  servos = [model.actuator(f'walker/{name}').id for name in mini_biped.JOINTS]
+  servos = list(range(robot.num_joints))
   joints = model.actuator_trnid[servos, 0]
   array = lambda values: np.asarray(values).tolist()
   return {
@@ -150,7 +156,7 @@ def _robot(model: mujoco.MjModel) -> dict[str, Any]:
       'unit': 'rad',
       'minimum': array(model.actuator_ctrlrange[servos, 0]),
       'maximum': array(model.actuator_ctrlrange[servos, 1]),
-      'standing': array(mini_biped.standing_action(model)),
+      'standing': array(derivation.standing_action(model, robot)),
     },
     'servos': {
       'torque': _TORQUE,

@@ -16,13 +16,14 @@ from dmc_multimode.modes import motion as motion_lib
 
 DURATION = 5.1  # Seconds: length of the episodes.
 
+# Lengths are those of the mini biped.
 _DRIFT = 0.05  # Metres in `DURATION`.
 _SPEED = 1 / 6  # Tolerance of speed and turn rate, relative to the reference.
 _BOB = 0.05  # Metres: largest deviation of a gait's height from its mean.
 _ALTERNATION = 0.8  # Share of touch-downs.
 _RISE = 0.6  # Of the reference's rise.
 _FLIGHT = 0.45  # Of the reference's time in the air.
-_STANCE = 1.0  # Seconds on both feet after a jump.
+_STANCE = 1.0  # Seconds on all feet after a jump.
 
 
 class Criterion(NamedTuple):
@@ -59,22 +60,37 @@ class Finding(NamedTuple):
   passed: bool
 
 
-def criteria(motion: motion_lib.ReferenceMotion) -> tuple[Criterion, ...]:
-  """Returns the criteria of a mode, by the nature of its reference."""
+def criteria(
+  motion: motion_lib.ReferenceMotion, size: float = 1.0
+) -> tuple[Criterion, ...]:
+  """Returns the criteria of a mode, by the nature of its reference.
+
+  Args:
+    motion: the reference.
+    size: of the robot, in those of the mini biped: a factor of lengths.
+  """
   if motion.kind == motion_lib.STEADY:
-    return (Criterion('drift', -np.inf, _DRIFT, gait_metrics.drift),)
+    return (Criterion('drift', -np.inf, _DRIFT * size, gait_metrics.drift),)
   if motion.kind == motion_lib.TRANSIENT:
-    return _of_jumps(motion)
+    return _of_jumps(motion, size)
   airborne = _time_in_the_air(motion)
-  return _of_bounds(motion, airborne) if airborne else _of_gaits(motion)
+  return _of_bounds(motion, airborne) if airborne else _of_gaits(motion, size)
 
 
 def check(
-  motion: motion_lib.ReferenceMotion, traces: Sequence[gait_metrics.Trace]
+  motion: motion_lib.ReferenceMotion,
+  traces: Sequence[gait_metrics.Trace],
+  size: float = 1.0,
 ) -> tuple[Finding, ...]:
-  """Returns the findings of a mode's criteria for episodes at clock rate 1."""
+  """Returns the findings of a mode's criteria for episodes at clock rate 1.
+
+  Args:
+    motion: of the mode.
+    traces: of the episodes.
+    size: of the robot, see `criteria`.
+  """
   findings = []
-  for metric, least, most, measure in criteria(motion):
+  for metric, least, most, measure in criteria(motion, size):
     values = np.array([measure(trace) for trace in traces])
     worst = values[np.argmax(np.maximum(least - values, values - most))]
     mean = float(values.mean())
@@ -83,17 +99,21 @@ def check(
   return tuple(findings)
 
 
-def _of_jumps(motion: motion_lib.ReferenceMotion) -> tuple[Criterion, ...]:
+def _of_jumps(
+  motion: motion_lib.ReferenceMotion, size: float
+) -> tuple[Criterion, ...]:
   """Returns the criteria of a transient mode that moves: a jump."""
   if motion.ledge is None:
     return ()
   step = motion.ledge.height
   height = float(motion.positions[-1, 2]) - step
-  stance = lambda trace: gait_metrics.stance(trace, step, height)
+  stance = lambda trace: gait_metrics.stance(trace, step, height, size)
   return (Criterion('stance', _STANCE, np.inf, stance),)
 
 
-def _of_gaits(motion: motion_lib.ReferenceMotion) -> tuple[Criterion, ...]:
+def _of_gaits(
+  motion: motion_lib.ReferenceMotion, size: float
+) -> tuple[Criterion, ...]:
   """Returns the criteria of a periodic mode without flight: a gait."""
   result = []
   moved = motion.positions[-1] - motion.positions[0]
@@ -114,7 +134,7 @@ def _of_gaits(motion: motion_lib.ReferenceMotion) -> tuple[Criterion, ...]:
   if rise:
     result.append(Criterion('rise', _RISE * rise, np.inf, gait_metrics.rise))
   else:
-    result.append(Criterion('bob', -np.inf, _BOB, gait_metrics.bob))
+    result.append(Criterion('bob', -np.inf, _BOB * size, gait_metrics.bob))
   contacts = [] if motion.contacts is None else motion.contacts.tolist()
   if [1, 0] in contacts and [0, 1] in contacts:
     result.append(

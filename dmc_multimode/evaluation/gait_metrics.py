@@ -17,7 +17,7 @@ class Trace(NamedTuple):
     reference: position of the reference, likewise.
     support: height of the support plane, metres, [T].
     yaw: of the trunk, radians, [T].
-    contact: feet on the ground (left, right), 0 or 1, [T, 2].
+    contact: feet on the ground, in the robot's order, 0 or 1, [T, F].
     reference_contact: contacts of the reference, likewise.
     timestep: seconds.
     cycle: seconds of a cycle of the mode.
@@ -158,7 +158,7 @@ def agreement(trace: Trace) -> float:
 
 
 def _majority(flags: np.ndarray) -> np.ndarray:
-  """Returns the majority of every three rows, [T, 2] -> [T - 2, 2]."""
+  """Returns the majority of every three rows, [T, F] -> [T - 2, F]."""
   if len(flags) < 3:
     return flags
   return flags[:-2].astype(int) + flags[1:-1] + flags[2:] >= 2
@@ -177,19 +177,22 @@ def flight(trace: Trace) -> float:
   )
 
 
-def stance(trace: Trace, step: float, height: float) -> float:
-  """Returns the longest time on both feet at a given height, seconds.
+def stance(
+  trace: Trace, step: float, height: float, size: float = 1.0
+) -> float:
+  """Returns the longest time on all feet at a given height, seconds.
 
   Args:
     trace: an episode.
     step: height of the ground over that at the start, metres.
     height: desired height of the trunk over that ground, to 8 cm, metres.
+    size: of the robot, in those of the mini biped: a factor of these 8 cm.
   """
   climbed = trace.support - trace.support[0]
   stands = (
-    (trace.contact.sum(axis=1) == 2)
+    trace.contact.all(axis=1)
     & (np.abs(climbed - step) < _SAME_PLANE)
-    & (np.abs(trace.height - height) < _STANCE_HEIGHT)
+    & (np.abs(trace.height - height) < _STANCE_HEIGHT * size)
   )
   return longest_run(stands) * trace.timestep
 

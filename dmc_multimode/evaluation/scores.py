@@ -76,7 +76,7 @@ def evaluate(
     policy, seed, physics_timestep, quiet, communicator, disturbed
   )
   values = report(evaluator, episodes, clock_rate)
-  if with_motion:
+  if with_motion and policy.config.robot.is_mini_biped:
     values['motion'] = motion.evaluate(
       evaluator, MODE_FACTOR * episodes, clock_rate
     )
@@ -186,7 +186,7 @@ def evaluate_acceptance(
         'most': found.most if np.isfinite(found.most) else None,
         'passed': found.passed,
       }
-      for found in acceptance.check(mode, traces)
+      for found in acceptance.check(mode, traces, evaluator.config.robot.size)
     }
   return result
 
@@ -247,5 +247,5 @@ def report(
     'seed': evaluator.seed,
     'episodes_per_case': episodes,
     'clock_rate': clock_rate,
-    'task': task_config.to_dict(evaluator.config),
+    'task': task_config.summary(evaluator.config),
   }

@@ -216,20 +216,19 @@ def _observation(
   latent_dim: int, config: task_config.ImitationConfig
 ) -> Section:
   """Returns the table of the policy's observation."""
-  extra = config.extra_observations
+  extra, robot = config.extra_observations, config.robot
   terms = observations.terms(extra=extra)
+  layout = observations.layout(latent_dim, extra=extra, robot=robot)
   rows = tuple(
     (term.name.replace('_', ' '), str(size), term.unit, _FRAMES[term.frame])
-    for term, (_, size) in zip(
-      terms, observations.layout(latent_dim, extra=extra), strict=True
-    )
+    for term, (_, size) in zip(terms, layout, strict=True)
   )
-  size = observations.size(latent_dim, extra=extra)
+  size = sum(length for _, length in layout)
   return Section(
     'Observation',
     (
       f'{size} numbers; the command is the latent of the mode. The action is '
-      f'{observations.NUM_JOINTS} joint targets, radians.',
+      f'{robot.num_joints} joint targets, radians.',
     ),
     ('term', 'numbers', 'unit', 'frame'),
     rows,

@@ -124,9 +124,13 @@ def differences(
 
 def to_dict(config: RunConfig) -> dict[str, Any]:
   """Returns the configuration as JSON values."""
+  values = {
+    **config_lib.to_dict(config),
+    'task': task_config.to_dict(config.task),
+  }
   # Tuples become lists, as in a file that is read.
-  values: dict[str, Any] = json.loads(json.dumps(config_lib.to_dict(config)))
-  return values
+  plain: dict[str, Any] = json.loads(json.dumps(values))
+  return plain
 
 
 def from_dict(values: Mapping[str, Any]) -> RunConfig:

@@ -126,11 +126,11 @@ class Start:
           'give yours a name of its own.'
         )
     named = (*extra, *known.values())
+    height = self.policy.config.robot.stand_height
     if spec is None:
-      return library.resolve(
-        [*known, *(m.name for m in self.new(extra))], named
-      )
-    return library.resolve(spec, named)
+      every = [*known, *(m.name for m in self.new(extra))]
+      return library.resolve(every, named, height)
+    return library.resolve(spec, named, height)
 
   def check(self, config: run_config.RunConfig) -> None:
     """Raises ValueError if a configuration has another network."""
@@ -156,7 +156,9 @@ class Start:
       raise ValueError(f'--one_hot: {self.name} knows modes by their latents.')
     size, latent_dim = observations.size, self.policy.mode_set.latent_dim
     terms = config.task.observed_terms
-    more = size(latent_dim, True, terms) - size(latent_dim, extra=terms)
+    robot = config.task.robot
+    more = size(latent_dim, True, terms, robot)
+    more -= size(latent_dim, extra=terms, robot=robot)
     if network.privileged_size not in (0, more):
       raise ValueError(
         f'The value function of {self.name} sees {network.privileged_size} '

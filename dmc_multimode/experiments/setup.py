@@ -57,6 +57,8 @@ class Run:
       'steps': self.loop.steps,
       'run': run_config.to_dict(self.config),
     }
+    # The task of the policy has it.
+    provenance['run']['task'].pop('robot', None)
     if self.initial:
       provenance['initial'] = dict(self.initial.provenance)
     return policy_lib.Policy(

@@ -28,8 +28,10 @@ from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes.encoder import mode_encoder
 from dmc_multimode.modes.encoder import training as encoder_training
 from dmc_multimode.pretrained import policy as policy_lib
+from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import symmetry as task_symmetry
 from dmc_multimode.utils import files
+from dmc_multimode.walkers import robot as robot_lib
 
 Path = str | os.PathLike[str]
 Motions = tuple[motion_lib.ReferenceMotion, ...]
@@ -51,6 +53,7 @@ def train(
   init_from: Path | None = None,
   mode_file: Path | None = None,
   encoder: Path | None = None,
+  robot: robot_lib.Robot | Path | None = None,
   minutes: float = math.inf,
   keep_every: int = 0,
   device: str | torch.device = 'cpu',
@@ -73,6 +76,9 @@ def train(
       become defaults.
     mode_file: YAML or JSON file of further modes.
     encoder: folder of a trained encoder; trained first by default.
+    robot: declared robot, or its file; the mini biped by default, or that of
+      the initial policy or of the run that is resumed, which must be this one.
+      Lengths and times of defaults and of the library's modes are scaled to it.
     minutes: wall-clock limit.
     keep_every: environment steps between policies that are kept permanently; 0
       keeps none.
@@ -108,6 +114,7 @@ def train(
     None if init_from is None else files.expand(init_from),
     mode_file,
     encoder,
+    robot,
     overrides,
   )
   if wandb_project and communicator.rank == 0:
@@ -139,6 +146,7 @@ class _Request:
   init_from: str | None
   mode_file: Path | None
   encoder: Path | None
+  robot: robot_lib.Robot | Path | None
   overrides: Mapping[str, Any]
 
   def configure(
@@ -151,8 +159,14 @@ class _Request:
     config = run_config.RunConfig()
     if self.steps is not None:
       config = dataclasses.replace(config, steps=self.steps)
+    robot = None if self.robot is None else robot_lib.find(self.robot)
+    if robot:
+      task = task_config.for_robot(config.task, robot)
+      config = dataclasses.replace(config, task=task)
     motions: Motions = ()
     if start:
+      if robot:
+        policy_lib.check_robot(start.policy, robot, start.name)
       motions = start.modes(self.modes, extra)
       config = start.config(motions, config.steps)
     threads = {'threads': distributed.local_cores()}
@@ -161,7 +175,8 @@ class _Request:
       start.check(config)
       return config, motions
     config = dataclasses.replace(config, modes=self.modes or config.modes)
-    return config, library.resolve(config.modes, extra)
+    height = config.task.robot.stand_height
+    return config, library.resolve(config.modes, extra, height)
 
   def begin(self, ranks: int) -> run_folder.Description:
     """Checks everything, then makes the folder and encoder of a new run."""
@@ -173,9 +188,11 @@ class _Request:
     config, motions = self.configure(start)
     setup.check_ranks(config, ranks)
     mode_set = mode_set_lib.one_hot(motions)
+    mode_set = mode_set.for_feet(config.task.robot.num_feet)
     config.task.check_modes(motions)
     if config.ppo.symmetry != 'none':
-      task_symmetry.mirror_image(mode_set)  # Raises without one.
+      # Raises without one.
+      task_symmetry.mirror_image(mode_set, robot=config.task.robot)
     encoder = None
     if self.encoder and not start and not config.one_hot:
       encoder = mode_encoder.load(self.encoder)
@@ -215,6 +232,8 @@ class _Request:
       )
       if value is not None
     }
+    if self.robot is not None:
+      given['task_robot'] = robot_lib.find(self.robot)
     asked = run_config.overridden(config, given)
     for name, stored, wanted in run_config.differences(config, asked):
       hint = 'Leave that out to resume it, or name another folder.'
@@ -252,7 +271,12 @@ def _train_encoder(motions: Motions, seed: int) -> mode_encoder.ModeEncoder:
   print('Training the mode encoder.', flush=True)
   contacts = encoder_training.needs_contacts(motions)
   return encoder_training.train(
-    motions, mode_encoder.EncoderConfig(use_contacts=contacts, seed=seed)
+    motions,
+    mode_encoder.EncoderConfig(
+      use_contacts=contacts,
+      seed=seed,
+      num_feet=motion_lib.num_feet(motions),
+    ),
   )
 
 

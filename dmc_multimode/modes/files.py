@@ -16,7 +16,9 @@ A keyframe may turn the trunk by `orientation: [w, x, y, z]` or by
 axes in this order); it is upright otherwise. Optional per mode: `step: {edge,
 height}` (a `motion.Ledge`), `takeoff`, `mirror`, `half_cycle_symmetric`.
 
-A mode begins where a command finds the trunk, about (0, 0, 0.5) and upright:
+Contacts are [left, right], or those of four feet in the robot's order. A mode
+begins where a command finds the trunk, about (0, 0, 0.5) and upright, or at the
+height of another robot:
 farther off than 0.35 m or 1 rad every command would be lost at once. A cycle
 closes: it ends at the height where it begins, and but for yaw in the same
 orientation; a steady mode does not turn either.
@@ -86,9 +88,11 @@ def _checked_mirror(name: str) -> str:
 
 
 def _checked_contacts(row: Any) -> list[float]:
-  valid = isinstance(row, list) and len(row) == motion_lib.NUM_FEET
+  valid = isinstance(row, list) and len(row) in motion_lib.FEET_COUNTS
   if not valid or any(foot not in (0, 1) for foot in row):
-    raise ValueError('contacts must be [left, right], each 0 or 1')
+    raise ValueError(
+      'contacts must be [left, right], or those of four feet, each 0 or 1'
+    )
   return [float(foot) for foot in row]
 
 
@@ -315,7 +319,7 @@ def _orientation(frame: _Keyframe, path: yaml_lines.Path) -> np.ndarray:
 def _contacts(
   frames: Iterable[_Keyframe], path: yaml_lines.Path
 ) -> np.ndarray | None:
-  """Returns the contacts of the feet, [K, 2], or None without any."""
+  """Returns the contacts of the feet, [K, F], or None without any."""
   rows = [frame.contacts for frame in frames]
   if all(row is None for row in rows):
     return None
@@ -323,6 +327,9 @@ def _contacts(
     if row is None:
       message = 'contacts are missing here; give them in all keyframes or none.'
       raise _FieldError((*path, i), message)
+    if len(row) != len(rows[0]):
+      message = f'contacts are of {len(row)} feet, before of {len(rows[0])}.'
+      raise _FieldError((*path, i, 'contacts'), message)
   return np.array(rows)
 
 

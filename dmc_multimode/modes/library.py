@@ -233,6 +233,7 @@ SETS: Mapping[str, tuple[str, ...]] = {
 def resolve(
   spec: str | Sequence[str],
   extra: Iterable[motion_lib.ReferenceMotion] = (),
+  stand_height: float = constants.STAND_HEIGHT,
 ) -> tuple[motion_lib.ReferenceMotion, ...]:
   """Resolves `spec` to motions, in order.
 
@@ -241,11 +242,17 @@ def resolve(
       of mode names.
     extra: user modes that may be named besides the library's; they take
       precedence over a library mode of the same name.
+    stand_height: of the robot's trunk, metres, to which the library's modes
+      are scaled; see `motion.scaled`.
 
   Raises:
     ValueError: a name is unknown; the message lists the known ones.
   """
-  known = {**modes(), **{motion.name: motion for motion in extra}}
+  mine = {
+    name: motion_lib.scaled(motion, stand_height)
+    for name, motion in modes().items()
+  }
+  known = {**mine, **{motion.name: motion for motion in extra}}
   if isinstance(spec, str):
     names: Sequence[str] = SETS.get(spec) or [
       n.strip() for n in spec.split(',')
@@ -272,16 +279,18 @@ def codebook() -> codebook_lib.Codebook:
 def mode_set(
   spec: str | Sequence[str],
   extra: Iterable[motion_lib.ReferenceMotion] = (),
+  stand_height: float = constants.STAND_HEIGHT,
 ) -> mode_set_lib.ModeSet:
   """Returns the mode set of `spec`, with the shipped latents.
 
   Args:
     spec: see `resolve`.
     extra: see `resolve`.
+    stand_height: see `resolve`.
 
   Raises:
     ValueError: a name is unknown, or the mode has no shipped latent.
   """
-  motions = resolve(spec, extra)
+  motions = resolve(spec, extra, stand_height)
   names = [motion.name for motion in motions]
   return mode_set_lib.ModeSet(motions, codebook().subset(names))

@@ -44,6 +44,26 @@ class ModeSet:
   def __len__(self) -> int:
     return len(self.motions)
 
+  def for_feet(self, count: int) -> 'ModeSet':
+    """Returns the modes for a robot with `count` feet.
+
+    Raises:
+      ValueError: a mode has contacts of another number of feet.
+    """
+    if self.bank.num_feet == count:
+      return self
+    for motion in self.motions:
+      if motion.num_feet not in (None, count):
+        raise ValueError(
+          f'{motion.name} has contacts of {motion.num_feet} feet, and the '
+          f'robot has {count}: give it modes of its own, with contacts of '
+          f'{count} feet or none.'
+        )
+    other = dataclasses.replace(self)
+    bank = reference.ReferenceBank(self.motions, count)
+    object.__setattr__(other, 'bank', bank)
+    return other
+
   @property
   def names(self) -> tuple[str, ...]:
     """Names of the modes, length M."""

@@ -21,7 +21,9 @@ TRANSIENT = 'transient'  # Runs once, then holds its last pose and phase.
 STEADY = 'steady'  # One pose; only the clock runs.
 KINDS = (PERIODIC, TRANSIENT, STEADY)
 
-NUM_FEET = 2  # Contact states are ordered (left, right).
+# Contact states are ordered (left, right), or as the robot's feet are.
+NUM_FEET = 2  # Of the library's motions.
+FEET_COUNTS = (2, 4)
 # How far apart the ends of a cycle may be.
 _CLOSED_HEIGHT, _CLOSED_ANGLE = 0.02, 0.05  # Metres, radians.
 
@@ -51,7 +53,7 @@ class ReferenceMotion:
     positions: of the trunk in the anchor frame, metres, shape [K, 3].
     orientations: of the trunk in the anchor frame, shape [K, 4].
     contacts: feet on the ground (1) or not (0), held until the next keyframe,
-      shape [K, 2], or None where the mode leaves contacts free.
+      shape [K, F] with F of 2 or 4, or None where the mode leaves them free.
     ledge: ledge that the mode needs, or None for level ground.
     takeoff: phase of the take-off of a jump, or 0. Episodes do not switch away
       from the mode before the touch-down that follows.
@@ -89,12 +91,24 @@ class ReferenceMotion:
     object.__setattr__(self, 'mirror', self.mirror or self.name)
     self._validate()
 
+  @property
+  def num_feet(self) -> int | None:
+    """Number F of the feet of the contacts; None where these are free."""
+    if self.contacts is None:
+      return None
+    return self.contacts.shape[1] if self.contacts.ndim == 2 else NUM_FEET
+
   def _validate(self) -> None:
     """Raises ValueError with one line for an invalid motion."""
     k = len(self.phases)
     shapes = {'positions': (k, 3), 'orientations': (k, 4)}
     if self.contacts is not None:
-      shapes['contacts'] = (k, NUM_FEET)
+      feet = self.num_feet or NUM_FEET
+      if feet not in FEET_COUNTS:
+        raise ValueError(
+          f'{self.name}: contacts must be of two or four feet, got {feet}.'
+        )
+      shapes['contacts'] = (k, feet)
       if not np.isin(self.contacts, (0.0, 1.0)).all():
         raise ValueError(f'{self.name}: contacts must be 0 or 1.')
     for field, shape in shapes.items():
@@ -171,6 +185,7 @@ def check_start(
   motion: ReferenceMotion,
   distance: float = constants.TRACKING_DISTANCE,
   angle: float = constants.TRACKING_ANGLE,
+  stand_height: float = constants.STAND_HEIGHT,
 ) -> None:
   """Raises ValueError if every command of a motion would be lost at once.
 
@@ -180,13 +195,14 @@ def check_start(
     motion: its first keyframe is checked.
     distance: bound on that of the trunk from its reference, metres.
     angle: bound on that of its orientation, radians.
+    stand_height: of the robot's trunk over its feet, metres.
   """
-  stand = np.array([0.0, 0.0, constants.STAND_HEIGHT])
+  stand = np.array([0.0, 0.0, stand_height])
   away = np.linalg.norm(motion.positions[0] - stand)
   if away > distance:
     raise ValueError(
       f'{motion.name}: the first keyframe is {away:.3g} m from (0, 0, '
-      f'{constants.STAND_HEIGHT:g}), where a command finds the trunk: every '
+      f'{stand_height:g}), where a command finds the trunk: every '
       f'command would be lost at once; at most {distance:g} m are possible.'
     )
   turned = angle_between(motion.orientations[0], np.eye(4)[0])
@@ -205,6 +221,43 @@ def check_names(motions: Sequence[ReferenceMotion]) -> None:
   names = [motion.name for motion in motions]
   if len(set(names)) != len(names):
     raise ValueError(f'Mode names must be unique, got {names}.')
+
+
+def num_feet(motions: Sequence[ReferenceMotion]) -> int:
+  """Returns the number of feet of motions; 2 if none has contacts.
+
+  Raises:
+    ValueError: two motions have contacts of different numbers of feet.
+  """
+  counts = {m.num_feet: m.name for m in motions if m.num_feet is not None}
+  if len(counts) > 1:
+    (one, first), (other, second) = list(counts.items())[:2]
+    raise ValueError(
+      f'{first} has contacts of {one} feet, and {second} of {other}.'
+    )
+  return next(iter(counts), NUM_FEET)
+
+
+def scaled(motion: ReferenceMotion, stand_height: float) -> ReferenceMotion:
+  """Returns a library's motion for a robot of another height.
+
+  Lengths are in proportion to the height h of the trunk, and times to
+  sqrt(h / g), in which bodies of another size move alike (Alexander 1989).
+
+  Args:
+    motion: for a trunk that stands 0.5 m high.
+    stand_height: h, metres.
+  """
+  size = stand_height / constants.STAND_HEIGHT
+  if size == 1:
+    return motion
+  ledge = motion.ledge
+  return dataclasses.replace(
+    motion,
+    duration=motion.duration * float(np.sqrt(size)),
+    positions=motion.positions * size,
+    ledge=ledge and Ledge(ledge.edge * size, ledge.height * size),
+  )
 
 
 def blend(
@@ -255,7 +308,7 @@ def blend(
 
 
 def _contacts_at(motion: ReferenceMotion, phases: np.ndarray) -> np.ndarray:
-  """Returns the contacts at phases, [K, 2]; empty for none."""
+  """Returns the contacts at phases, [K, F]; empty for none."""
   if motion.contacts is None:
     return np.zeros((len(phases), 0))
   rows = np.searchsorted(motion.phases, phases, side='right') - 1

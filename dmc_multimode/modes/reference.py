@@ -27,7 +27,7 @@ class Reference(NamedTuple):
   Attributes:
     position: metres, [B, 3].
     orientation: unit quaternions, [B, 4].
-    contact: desired feet contacts, [B, 2]; zero where the mode has none.
+    contact: desired feet contacts, [B, F]; zero where the mode has none.
     has_contact: whether the mode prescribes contacts, [B].
   """
 
@@ -40,9 +40,19 @@ class Reference(NamedTuple):
 class ReferenceBank:
   """Several reference motions, evaluated together for a batch of worlds."""
 
-  def __init__(self, motions: Sequence[motion_lib.ReferenceMotion]) -> None:
-    """Stacks `motions`; their order gives the mode indices."""
+  def __init__(
+    self,
+    motions: Sequence[motion_lib.ReferenceMotion],
+    num_feet: int | None = None,
+  ) -> None:
+    """Stacks `motions`; their order gives the mode indices.
+
+    Args:
+      motions: M of them.
+      num_feet: F; that of their contacts by default.
+    """
     motion_lib.check_names(motions)
+    self.num_feet = num_feet or motion_lib.num_feet(motions)
     self.motions = tuple(motions)
     self.names = tuple(motion.name for motion in motions)
     self.durations = np.array([m.duration for m in motions])
@@ -69,7 +79,7 @@ class ReferenceBank:
     phases = np.full((num, width), np.inf)
     positions = np.zeros((num, width, 3))
     orientations = np.tile(np.array(_IDENTITY), (num, width, 1))
-    contacts = np.zeros((num, width, motion_lib.NUM_FEET))
+    contacts = np.zeros((num, width, self.num_feet))
     for i, motion in enumerate(self.motions):
       k = len(motion.phases)
       phases[i, :k] = motion.phases
@@ -84,15 +94,16 @@ class ReferenceBank:
     self._inner_phases = np.ascontiguousarray(phases[:, 1:-1].T)
     self._positions = positions.reshape(-1, 3)
     self._orientations = orientations.reshape(-1, 4)
-    self._contacts = contacts.reshape(-1, motion_lib.NUM_FEET)
+    self._contacts = contacts.reshape(-1, self.num_feet)
     self._spans = _contact_spans(phases, contacts).reshape(2, -1)
     self._landings = _next_touch_downs(phases, contacts).ravel()
     airborne = self.has_contacts[:, None] & ~contacts.any(axis=-1)
     airborne &= np.isfinite(phases)  # Spare rows have no contacts.
     self._airborne = airborne.ravel()
     self._flights = _next_flights(airborne).ravel()
-    # Modes that step with one foot at a time.
-    steps = contacts.sum(axis=-1) == 1
+    # Modes in which some feet step while others stand.
+    standing = contacts.sum(axis=-1)
+    steps = (standing > 0) & (standing < self.num_feet)
     self.gaits = self.periodic & self.has_contacts & steps.any(axis=1)
     start = _rotation(orientations[:, :-1].reshape(-1, 4))
     end = _rotation(orientations[:, 1:].reshape(-1, 4))
@@ -249,20 +260,21 @@ class ReferenceBank:
   def swing_timing(
     self, modes: np.ndarray, phases: np.ndarray
   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns the swinging foot, and time and duration of its swing.
+    """Returns the swinging feet, and time and duration of their swing.
 
     Args:
       modes: mode indices, [B].
       phases: phases in [0, 1], [B].
 
     Returns:
-      Mask of the foot (left, right) that swings while the other stands, [B, 2];
+      Mask of the feet that swing while another stands, [B, F];
       time since the middle of the swing at clock rate 1, seconds, [B]; its
       duration, seconds, [B].
     """
     keyframe, _ = self._locate(modes, phases)
     contact = self._contacts[keyframe]
-    single = self.has_contacts[modes] & (contact.sum(axis=1) == 1)
+    steps = contact.any(axis=1) & ~contact.all(axis=1)
+    single = self.has_contacts[modes] & steps
     begin, end = self._spans[:, keyframe]
     duration = self.durations[modes]
     return (

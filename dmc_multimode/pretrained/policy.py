@@ -32,6 +32,7 @@ from dmc_multimode.suite.imitation import observations as task_observations
 from dmc_multimode.utils import arrays
 from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import files
+from dmc_multimode.walkers import robot as robot_lib
 
 WEIGHTS_FILE = 'policy.safetensors'
 DESCRIPTION_FILE = folder_lib.DESCRIPTION_FILE
@@ -40,7 +41,6 @@ RUN_SUBFOLDER = folder_lib.RUN_SUBFOLDER
 
 _FORMAT = folder_lib.FORMAT
 _MAX_UNITS = 4096
-_NUM_ACTIONS = task_observations.NUM_JOINTS
 MakeNetwork = Callable[[int, int, int], networks.ActorCritic]
 
 
@@ -73,7 +73,9 @@ class Policy:
   def actor(self) -> acting.FeedForwardActor:
     """Returns an actor for one dm_env environment, deterministic."""
     layout = task_observations.layout(
-      self.mode_set.latent_dim, extra=self.config.extra_observations
+      self.mode_set.latent_dim,
+      extra=self.config.extra_observations,
+      robot=self.config.robot,
     )
     return acting.FeedForwardActor(self.network, [name for name, _ in layout])
 
@@ -87,7 +89,7 @@ class Policy:
         after a divergence, has such an action.
 
     Returns:
-      Joint targets in radians, float32 [B, 10].
+      Joint targets in radians, float32 [B, J].
 
     Raises:
       ValueError: they are no numbers, or have another shape.
@@ -131,7 +133,9 @@ class Policy:
 
 
 def load(
-  policy: str | os.PathLike[str], network: MakeNetwork | None = None
+  policy: str | os.PathLike[str],
+  network: MakeNetwork | None = None,
+  robot: robot_lib.Robot | str | os.PathLike[str] | None = None,
 ) -> Policy:
   """Loads a policy by the name of a shipped one, or from a folder.
 
@@ -141,12 +145,14 @@ def load(
     network: makes the network of a policy that has modules of one's own, for
       its weights to be loaded into: called with the numbers of observations, of
       actions and of privileged observations, it returns an `ActorCritic`.
+    robot: that the policy must have been trained for, or its file; any by
+      default. A policy's files have its robot in them.
 
   Raises:
     FileNotFoundError: there is no such policy; the message lists those there
       are.
-    ValueError: a file is truncated, foreign, or does not fit the others; or
-      the policy needs `network`.
+    ValueError: a file is truncated, foreign, or does not fit the others; the
+      policy needs `network`, or was trained for another robot.
   """
   directory = folder_lib.find(policy)
   path = directory / DESCRIPTION_FILE
@@ -157,9 +163,11 @@ def load(
     lacks = isinstance(error, KeyError)
     reason = f'it lacks {error}.' if lacks else str(error)
     raise ValueError(f'{path} is damaged: {reason}') from error
+  if robot is not None:
+    check_robot(untrained, robot, str(policy))
   if network is not None:
     untrained = dataclasses.replace(
-      untrained, network=_made(network, untrained.network)
+      untrained, network=_made(network, untrained)
     )
   elif description.get('own_modules'):
     raise ValueError(
@@ -173,11 +181,28 @@ def load(
   )
 
 
-def _made(
-  make: MakeNetwork, plain: networks.ActorCritic
-) -> networks.ActorCritic:
+def check_robot(
+  policy: Policy, robot: robot_lib.Robot | str | os.PathLike[str], name: str
+) -> None:
+  """Raises ValueError if a policy was trained for another robot.
+
+  Args:
+    policy: with its robot.
+    robot: the declared robot, or its file.
+    name: of the policy, for the error.
+  """
+  found = robot_lib.find(robot)
+  if found != policy.config.robot:
+    raise ValueError(
+      f'{name} was trained for the robot {policy.config.robot}, and this is '
+      f'{found}: another declaration or model.'
+    )
+
+
+def _made(make: MakeNetwork, policy: Policy) -> networks.ActorCritic:
   """Returns the network of a user's function, for acting."""
-  made = make(plain.observation_size, _NUM_ACTIONS, plain.privileged_size)
+  plain, actions = policy.network, policy.config.robot.num_joints
+  made = make(plain.observation_size, actions, plain.privileged_size)
   if not isinstance(made, networks.ActorCritic):
     raise ValueError(f'network must return an ActorCritic, got {type(made)}')
   return made.eval()
@@ -194,8 +219,10 @@ def _untrained(description: dict[str, Any]) -> Policy:
     raise ValueError(f'hidden sizes {hidden} are out of bounds.')
   mode_set = mode_files.mode_set_from_dict(description)
   config = task_config.from_dict(description['task'])
+  robot = config.robot
+  mode_set = mode_set.for_feet(robot.num_feet)
   size = task_observations.size(
-    mode_set.latent_dim, extra=config.extra_observations
+    mode_set.latent_dim, extra=config.extra_observations, robot=robot
   )
   activation = description.get('activation', 'elu')  # As it once was.
   if activation not in networks.ACTIVATIONS:
@@ -206,7 +233,7 @@ def _untrained(description: dict[str, Any]) -> Policy:
   with torch.device('meta'):  # Allocates no memory.
     network = networks.ActorCritic(
       size,
-      _NUM_ACTIONS,
+      robot.num_joints,
       hidden,
       privileged_size=more,
       activation=activation,

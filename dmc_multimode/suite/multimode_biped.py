@@ -27,6 +27,7 @@ from dmc_multimode.suite.imitation import episodes as episodes_lib
 from dmc_multimode.suite.imitation import rewards
 from dmc_multimode.suite.reaching import problem as reaching
 from dmc_multimode.utils import durations
+from dmc_multimode.walkers import robot as robot_lib
 
 if TYPE_CHECKING:
   from dm_control import composer
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
   from dmc_multimode.suite.imitation import composer_task
   from dmc_multimode.suite.reaching import environment as reaching_env
 
+RobotLike = robot_lib.Robot | str | os.PathLike[str] | None
 SUITE = containers.TaggedTasks()
 
 _DEFAULT_GAINS = rewards.RewardGains()
@@ -62,24 +64,26 @@ def make_task(
     mode_set: the modes, or names of the library's: see `library.mode_set`.
     episodes: the episodes; Algorithm 1 by default.
     arena: a track or the name of one.
-    config: of the task.
+    config: of the task and its robot.
 
   Raises:
-    ValueError: the arena or a mode is unknown.
+    ValueError: the arena or a mode is unknown, or the modes are not for the
+      feet of the robot.
   """
   from dmc_multimode.arenas import track
   from dmc_multimode.suite.imitation import composer_task
-  from dmc_multimode.walkers import mini_biped
+  from dmc_multimode.walkers import robot_walker
 
+  config = config or task_config.ImitationConfig()
   if not isinstance(mode_set, mode_set_lib.ModeSet):
-    mode_set = library.mode_set(mode_set)
+    height = config.robot.stand_height
+    mode_set = library.mode_set(mode_set, stand_height=height)
   if isinstance(arena, str):
     arena = track.make(arena)
-  config = config or task_config.ImitationConfig()
   if episodes is None:
     episodes = episodes_lib.TransitionEpisodes(mode_set)
   return composer_task.Imitation(
-    mini_biped.MiniBiped(),
+    robot_walker.RobotWalker(config.robot),
     arena,
     mode_set,
     episodes,
@@ -119,11 +123,39 @@ def make_environment(
   return composer.Environment(task, random_state=random, **kwargs)
 
 
+def config_for(
+  robot: RobotLike,
+  config: task_config.ImitationConfig | None = None,
+  gains: rewards.RewardGains = _DEFAULT_GAINS,
+) -> task_config.ImitationConfig:
+  """Returns a configuration that is given, or the default one of a robot.
+
+  Args:
+    robot: declared robot, or its file; None for that of `config`, or else the
+      mini biped.
+    config: of the task.
+    gains: of the default one.
+
+  Raises:
+    OSError, ValueError: the robot's file cannot be read, or is invalid; or the
+      robot is given beside a configuration of another.
+  """
+  if config is None:
+    default = task_config.ImitationConfig(gains=gains)
+    return task_config.for_robot(default, robot_lib.find(robot))
+  if robot is not None and robot_lib.find(robot) != config.robot:
+    raise ValueError(
+      f'the config is of the robot {config.robot}: make it by config.for_robot.'
+    )
+  return config
+
+
 def make_modes_task(
   modes: str | Sequence[str],
   time_limit: float | None = None,
   config: task_config.ImitationConfig | None = None,
   arena: str | track.Track = 'flat',
+  robot: RobotLike = None,
 ) -> composer_task.Imitation:
   """Builds the task of a mode or a set of modes of the library.
 
@@ -135,16 +167,19 @@ def make_modes_task(
     time_limit: seconds; the configuration's by default.
     config: of the task; the default has the paper's reward weights for the set.
     arena: a track or the name of one.
+    robot: declared robot, or its file; that of `config`, or the mini biped, by
+      default. The modes are scaled to it.
 
   Raises:
-    ValueError: the arena or a mode is unknown, or the time limit invalid.
+    OSError: the robot's file cannot be read.
+    ValueError: the arena or a mode is unknown, the time limit invalid, or the
+      robot is; or it is given beside a `config`, which has one.
   """
-  config = config or task_config.ImitationConfig(
-    gains=REWARD_GAINS.get(str(modes), _DEFAULT_GAINS)
-  )
+  gains = REWARD_GAINS.get(str(modes), _DEFAULT_GAINS)
+  config = config_for(robot, config, gains)
   if time_limit is not None:
     config = dataclasses.replace(config, time_limit=time_limit)
-  mode_set = library.mode_set(modes)
+  mode_set = library.mode_set(modes, stand_height=config.robot.stand_height)
   episodes = _first() if len(mode_set) == 1 else None
   return make_task(mode_set, episodes, arena, config)
 
@@ -156,9 +191,10 @@ def imitation(
   environment_kwargs: Mapping[str, Any] | None = None,
   config: task_config.ImitationConfig | None = None,
   arena: str | track.Track = 'flat',
+  robot: RobotLike = None,
 ) -> composer.Environment:
   """Returns an environment of `make_modes_task`."""
-  task = make_modes_task(modes, time_limit, config, arena)
+  task = make_modes_task(modes, time_limit, config, arena, robot)
   return make_environment(task, random, environment_kwargs)
 
 

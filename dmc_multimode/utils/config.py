@@ -150,8 +150,18 @@ def build(kind: type[_T], values: Any) -> _T:
 
 
 def to_dict(config: Any) -> dict[str, Any]:
-  """Returns a configuration as JSON values for `build`."""
-  return dataclasses.asdict(config)
+  """Returns a configuration as JSON values for `build`.
+
+  Fields that are no configurations, yet have a `to_dict`, are what it returns.
+  """
+  return dataclasses.asdict(config, dict_factory=_table)
+
+
+def _table(items: list[tuple[str, Any]]) -> dict[str, Any]:
+  return {
+    name: value.to_dict() if hasattr(value, 'to_dict') else value
+    for name, value in items
+  }
 
 
 def describe(error: pydantic.ValidationError) -> str:

@@ -11,7 +11,7 @@ Kind = Literal['xml', 'flags', 'pretrained']
 
 _PACKAGE = pathlib.Path(__file__).resolve().parents[1]
 _IS_DATA = {
-  'xml': lambda entry: entry.suffix == '.xml',
+  'xml': lambda entry: entry.suffix in ('.xml', '.yaml'),
   'flags': lambda entry: entry.suffix == '.flags',
   'pretrained': lambda entry: entry.is_dir() and entry.name != '__pycache__',
 }
@@ -21,8 +21,8 @@ def path(kind: Kind, name: str) -> pathlib.Path:
   """Returns the path of a shipped file or folder.
 
   Args:
-    kind: `'xml'` (models), `'flags'` (absl flagfiles) or `'pretrained'`
-      (a folder for each policy or encoder).
+    kind: `'xml'` (models and robots), `'flags'` (absl flagfiles) or
+      `'pretrained'` (a folder for each policy or encoder).
     name: Name below the folder of that kind, such as `'mini_biped.xml'`,
       `'quickstart.flags'`, `'quickstart'`. Forward slashes on every system.
 

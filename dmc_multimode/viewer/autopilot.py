@@ -9,7 +9,6 @@ from dmc_multimode.planner import selector as selector_lib
 from dmc_multimode.planner import steering
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.suite.reaching import sensing
-from dmc_multimode.utils import constants
 from dmc_multimode.utils import durations
 from dmc_multimode.viewer import rollout
 
@@ -63,7 +62,7 @@ class Autopilot:
     position = self._robot.position[None]
     goal = self._goal
     if goal is None:
-      height = core.support(position[:, 0])[0] + constants.STAND_HEIGHT
+      height = core.support(position[:, 0])[0] + core.config.robot.stand_height
       goal = position[0, 0] + _FAR, 0.0, float(height)
     seen = observations.flatten(self._robot.task.observation)
     observation = self._observer.observe(

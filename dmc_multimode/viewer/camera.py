@@ -99,8 +99,7 @@ class Camera:
     """
     self._physics, self._task, self._ghost = physics, task, ghost
     self._segments = set(physics.bind(task.root_entity.ground_geoms).element_id)
-    trunk = physics.bind(task.walker.mjcf_model.find('geom', 'trunk'))
-    self._trunk_size = np.array(trunk.size)
+    self._trunk_size = task.config.robot.derived.trunk_size
     self._view = VIEWS.get(name)
     self._aim = Aim()
     camera = -1 if self._view else _find(physics, name)

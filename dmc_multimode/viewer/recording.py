@@ -29,6 +29,7 @@ from dmc_multimode.viewer import video
 if TYPE_CHECKING:
   from dmc_multimode import pretrained
   from dmc_multimode.viewer import rollout as rollout_lib
+  from dmc_multimode.walkers import robot as robot_lib
 
 _SlowMotion = Annotated[float, pydantic.Field(ge=0.01, le=100)]
 
@@ -111,6 +112,7 @@ def record(
   terminate: bool = False,
   quiet: bool = False,
   compare: 'str | os.PathLike[str] | pretrained.Policy | None' = None,
+  robot: 'str | os.PathLike[str] | robot_lib.Robot | None' = None,
 ) -> Recording:
   """Records a policy that follows a schedule or a plan on a track.
 
@@ -130,6 +132,7 @@ def record(
     compare: another policy to show beside it, with the same schedule and
       camera, each in its own task; or an .mp4 file that was recorded before, in
       this size and at this frame rate, such as one of an earlier version.
+    robot: that the policy must have been trained for, or its file.
 
   Raises:
     FileNotFoundError: there is no such policy or plan.
@@ -167,7 +170,7 @@ def record(
   )
   config = config or RecordingConfig()
   if compare is None:
-    policies = {'': _load(policy)}
+    policies = {'': _load(policy, robot)}
     return film_beside(policies, rollout_config, config, path, quiet, earlier)[
       0
     ]
@@ -177,7 +180,9 @@ def record(
   ]
   if names[0] == names[1]:
     raise ValueError(f'{names[0]} cannot be compared with itself.')
-  policies = dict(zip(names, (_load(policy), _load(compare)), strict=True))
+  policies = dict(
+    zip(names, (_load(policy, robot), _load(compare)), strict=True)
+  )
   first, second = film_beside(policies, rollout_config, config, path, quiet)
   return first._replace(compared=second)
 
@@ -192,11 +197,16 @@ def _mode_set(
 
 def _load(
   policy: 'str | os.PathLike[str] | pretrained.Policy',
+  robot: 'str | os.PathLike[str] | robot_lib.Robot | None' = None,
 ) -> 'pretrained.Policy':
   from dmc_multimode import pretrained
+  from dmc_multimode.pretrained import policy as policy_lib
 
+  name = 'the policy'
   if isinstance(policy, (str, os.PathLike)):
-    return pretrained.load(policy)
+    policy, name = pretrained.load(policy), str(policy)
+  if robot is not None:
+    policy_lib.check_robot(policy, robot, name)
   return policy
 
 

@@ -58,14 +58,11 @@ class LiveScene:
     ]
     self._robot = mjviser.ViserMujocoScene(server, _drawn_model(robot), 1)
     self._robot.camera_tracking_enabled = False
-    trunk = robot.physics.bind(
-      robot.task.walker.mjcf_model.find('geom', 'trunk')
-    )
     *colour, opacity = camera_lib.GHOST
     self._reference = server.scene.add_box(
       '/world/reference',
       tuple(colour),
-      tuple(2 * trunk.size),
+      tuple(2 * robot.task.config.robot.derived.trunk_size),
       opacity=opacity,
       cast_shadow=False,
       receive_shadow=False,

@@ -1,3 +1,11 @@
-"""The robots: MJCF models as dm_control walkers, and their kinematics."""
+"""The robots: declarations and MJCF models as dm_control walkers."""
 
-__all__ = ['kinematics', 'mini_biped']
+__all__ = [
+  'derivation',
+  'kinematics',
+  'mini_biped',
+  'mirroring',
+  'robot',
+  'robot_files',
+  'robot_walker',
+]

@@ -11,6 +11,7 @@ from dmc_multimode.modes.encoder import mode_encoder
 from dmc_multimode.modes.encoder import training as encoder_training
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import observations
+from dmc_multimode.walkers import mini_biped
 
 
 def save(
@@ -22,7 +23,7 @@ def save(
   """Writes a small policy with one-hot commands for `modes` into a folder."""
   known = mode_set.one_hot(library.resolve(modes))
   size = observations.size(known.latent_dim)
-  network = networks.ActorCritic(size, observations.NUM_JOINTS, (8,))
+  network = networks.ActorCritic(size, len(mini_biped.JOINTS), (8,))
   pretrained.Policy(network, (8,), known, task, provenance).save(folder)
 
 
@@ -43,7 +44,7 @@ def save_with_encoder(
   policy = pretrained.Policy(
     networks.ActorCritic(
       size,
-      observations.NUM_JOINTS,
+      len(mini_biped.JOINTS),
       (16,),
       privileged_size=observations.size(book.latent_dim, True) - size,
       activation='silu',

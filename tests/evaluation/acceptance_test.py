@@ -11,6 +11,7 @@ from dmc_multimode.evaluation import gait_metrics
 from dmc_multimode.modes import library
 from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes import reference
+from dmc_multimode.utils import constants
 
 _TIMESTEP = 0.03  # Seconds.
 _MODES = library.modes()
@@ -80,6 +81,24 @@ def test_a_perfect_body_passes_all(name: str) -> None:
   findings = _findings(motion, _perfect(motion))
   assert findings and all(v.passed for v in findings.values()), findings
   json.dumps([v.passed for v in findings.values()])  # As a report has it.
+
+
+@pytest.mark.parametrize('name', ['idle', 'walk_forward', 'launch'])
+def test_bounds_grow_with_the_robot(name: str) -> None:
+  size = 0.5
+  motion = motion_lib.scaled(_MODES[name], size * constants.STAND_HEIGHT)
+  found = acceptance.check(motion, [_perfect(motion)], size)
+  assert found and all(finding.passed for finding in found)
+  bounds = {
+    small.metric: (small.most, large.most)
+    for small, large in zip(
+      acceptance.criteria(motion, size),
+      acceptance.criteria(_MODES[name]),
+      strict=True,
+    )
+  }
+  for metric in bounds.keys() & {'drift', 'bob'}:
+    assert bounds[metric][0] == size * bounds[metric][1]
 
 
 @pytest.mark.parametrize('name', _MODES)

@@ -289,3 +289,19 @@ def test_values(write: Write, data: st.DataObject) -> None:
     assert len(str(error).splitlines()) == 1
   path = write(json.dumps(mode), 'a.json')
   _only_mode_file_errors(path)
+
+
+def test_contacts_of_four_feet(tmp_path: pathlib.Path) -> None:
+  path = tmp_path / 'mode.yaml'
+  text = _YAML.replace('[1, 0]', '[1, 0, 0, 1]')
+  text = text.replace('[0, 1]', '[0, 1, 1, 0]')
+  path.write_text(text.replace('[true, false]', '[1, 1, 1, 1]'))
+  (motion,) = mode_files.load(path)
+  assert motion.num_feet == 4
+  again = mode_files.motion_from_dict(mode_files.motion_to_dict(motion))
+  _assert_equal(motion, again)
+  path.write_text(text)
+  with pytest.raises(
+    mode_files.ModeFileError, match='are of 2 feet, before of'
+  ):
+    mode_files.load(path)

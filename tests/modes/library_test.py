@@ -118,3 +118,23 @@ def test_resolve() -> None:
   assert library.resolve('idle')[0].duration == 0.6
   with pytest.raises(ValueError, match="'fly'.*walk_forward.*pi1"):
     library.resolve('idle,fly')
+
+
+def test_motions_of_a_robot_of_another_height() -> None:
+  """Lengths in heights h, times in sqrt(h / g): the Froude number is kept."""
+  same = library.resolve('pi_all')
+  for one, other in zip(same, library.modes().values(), strict=True):
+    assert one is library.modes()[one.name]
+    assert other.name in library.modes()
+  walk, launch = library.resolve(
+    'walk_forward,launch', stand_height=constants.STAND_HEIGHT / 4
+  )
+  known = library.modes()
+  np.testing.assert_array_equal(
+    walk.positions, known['walk_forward'].positions / 4
+  )
+  assert walk.duration == known['walk_forward'].duration / 2
+  ledge, expected = launch.ledge, known['launch'].ledge
+  assert ledge and expected
+  assert (ledge.edge, ledge.height) == (expected.edge / 4, expected.height / 4)
+  np.testing.assert_array_equal(launch.contacts, known['launch'].contacts)

@@ -6,6 +6,7 @@ import pytest
 from dmc_multimode.modes import codebook
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set
+from dmc_multimode.modes import motion
 
 
 def test_one_hot() -> None:
@@ -79,3 +80,51 @@ def test_blends_by_hand() -> None:
 def test_blends_that_are_none(name: str, message: str) -> None:
   with pytest.raises(ValueError, match=message):
     mode_set.with_blends(library.mode_set('pi_all'), [name])
+
+
+def _level(name: str, contacts: np.ndarray | None) -> motion.ReferenceMotion:
+  return motion.ReferenceMotion(
+    name,
+    motion.PERIODIC,
+    0.4,
+    np.array([0.0, 0.5, 1.0]),
+    np.tile([0.0, 0.0, 0.3], (3, 1)),
+    np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)),
+    contacts,
+  )
+
+
+def test_modes_of_four_feet() -> None:
+  trot = _level('trot', np.array([[1, 0, 0, 1], [0, 1, 1, 0], [1, 1, 1, 1]]))
+  glide = _level('glide', None)
+  known = mode_set.one_hot([trot, glide])
+  assert known.for_feet(4) is known
+  assert known.bank.gaits.tolist() == [True, False]
+  swinging, time, length = known.bank.swing_timing(
+    np.array([0, 0, 1]), np.array([0.25, 0.75, 0.25])
+  )
+  np.testing.assert_array_equal(
+    swinging, [[0, 1, 1, 0], [1, 0, 0, 1], [0, 0, 0, 0]]
+  )
+  np.testing.assert_allclose(time[:2], 0.0, atol=1e-12)
+  np.testing.assert_allclose(length[:2], 0.2)
+  with pytest.raises(ValueError, match='trot has contacts of 4 feet, and the'):
+    known.for_feet(2)
+
+
+def test_modes_without_contacts_are_for_any_feet() -> None:
+  two = mode_set.one_hot([_level('glide', None)])
+  assert two.bank.num_feet == 2
+  four = two.for_feet(4)
+  phases = np.zeros(1)
+  assert four.bank.sample(np.zeros(1, int), phases).contact.shape == (1, 4)
+  assert four.names == two.names and two.bank.num_feet == 2
+
+
+def test_modes_of_other_feet_make_no_set() -> None:
+  walk = _level('walk', np.array([[1, 0], [0, 1], [1, 1]]))
+  trot = _level('trot', np.ones((3, 4)))
+  with pytest.raises(ValueError, match='walk has contacts of 2 feet, and trot'):
+    mode_set.one_hot([walk, trot])
+  with pytest.raises(ValueError, match='must be of two or four feet, got 3'):
+    _level('tripod', np.ones((3, 3)))

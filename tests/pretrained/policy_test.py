@@ -20,6 +20,7 @@ from dmc_multimode.modes import mode_set
 from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import observations
+from dmc_multimode.walkers import mini_biped
 
 _MODES = ('idle', 'walk_forward')
 _SIZE = observations.size(3)
@@ -32,7 +33,7 @@ def _policy(
   torch.manual_seed(0)
   network = networks.ActorCritic(
     _SIZE,
-    observations.NUM_JOINTS,
+    len(mini_biped.JOINTS),
     (16, 8),
     privileged_size=privileged_size,
     activation=activation,
@@ -103,7 +104,7 @@ def test_round_trip(folder: pathlib.Path) -> None:
   assert loaded.metrics == {}
   seen = np.random.RandomState(0).randn(5, _SIZE).astype(np.float32)
   expected = policy.select_action(seen)
-  assert expected.shape == (5, observations.NUM_JOINTS)
+  assert expected.shape == (5, len(mini_biped.JOINTS))
   np.testing.assert_array_equal(loaded.select_action(seen), expected)
   parts, start = {}, 0
   for name, size in observations.layout(3):
@@ -166,7 +167,7 @@ class _OwnCritic(networks.ActorCritic):
 
 
 def _make(size: int, actions: int, privileged: int) -> networks.ActorCritic:
-  assert (size, actions, privileged) == (_SIZE, observations.NUM_JOINTS, 0)
+  assert (size, actions, privileged) == (_SIZE, len(mini_biped.JOINTS), 0)
   return networks.ActorCritic(
     size, actions, (16, 8), policy=_Own(size, actions)
   )

@@ -236,17 +236,21 @@ def test_the_package_calls_nothing_that_executes_data() -> None:
 
 
 def test_xml_comes_from_the_package_alone() -> None:
-  """Files of the package, and what Composer made of them."""
+  """Files of the package, and what Composer made of them.
+
+  And robots, whose model `walkers.robot_files` has read or checked.
+  """
   found = {
     (module, name): ast.unparse(node.args[0])
     for module, name, node in _calls()
     if name.rpartition('.')[2] in _XML_CALLS
   }
   assert found == {
+    ('walkers/robot_walker', 'mjcf.from_xml_string'): 'robot.model.xml',
     (
-      'walkers/mini_biped',
-      'mjcf.from_path',
-    ): "str(resources.path('xml', 'mini_biped.xml'))",
+      'walkers/robot_walker',
+      'mujoco.MjSpec.from_string',
+    ): 'root.to_xml_string()',
     (
       'deployment/mjcf_export',
       'mjcf.from_path',

@@ -113,7 +113,7 @@ class _Extension:
     """Holds the latents of the first motions, [N, n_m]."""
     self._config = base.config
     self._network = copy.deepcopy(base.network).requires_grad_(True)
-    self._batch = autoencoder.Batch(motions, base.config.use_contacts)
+    self._batch = autoencoder.Batch(motions, *base.config.contacts)
     self._held = torch.tensor(held)
     # Every pair of modes of which one is new.
     first, second = torch.triu_indices(len(motions), len(motions), 1)

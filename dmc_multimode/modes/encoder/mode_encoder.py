@@ -44,6 +44,7 @@ class EncoderConfig:
     min_separation: lower bound of the smallest over the mean distance between
       latents, in [0, 0.6).
     seed: of the initial weights; nothing else is random.
+    num_feet: of the contacts.
   """
 
   latent_dim: _Units = 4
@@ -54,6 +55,12 @@ class EncoderConfig:
   max_rmse: config_lib.Positive = 0.02
   min_separation: Annotated[float, pydantic.Field(ge=0, lt=0.6)] = 0.3
   seed: Annotated[int, pydantic.Field(ge=0, lt=2**63)] = 0
+  num_feet: Annotated[int, pydantic.Field(ge=2, le=4)] = 2
+
+  @property
+  def contacts(self) -> tuple[bool, int]:
+    """Contacts among the features: whether there are, and of how many feet."""
+    return self.use_contacts, self.num_feet
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -76,7 +83,7 @@ class ModeEncoder:
     Latents are standardised by the statistics of the training set.
     """
     return self._latents(
-      autoencoder.Batch(motions, self.config.use_contacts)
+      autoencoder.Batch(motions, *self.config.contacts)
     ).numpy()
 
   def reconstruct(
@@ -89,7 +96,7 @@ class ModeEncoder:
       units of `autoencoder.features`.
     """
     network = self.network
-    batch = autoencoder.Batch(motions, self.config.use_contacts)
+    batch = autoencoder.Batch(motions, *self.config.contacts)
     with torch.no_grad():
       decoded = network.decode(self._latents(batch), batch.features.shape[1])
       decoded = decoded * network.feature_scale + network.feature_mean
@@ -101,7 +108,7 @@ class ModeEncoder:
     errors = {}
     reconstructed = self.reconstruct(self.motions)
     for motion, found in zip(self.motions, reconstructed, strict=True):
-      error = found - autoencoder.features(motion, self.config.use_contacts)
+      error = found - autoencoder.features(motion, *self.config.contacts)
       squares = np.square(error[:, autoencoder.POSITION]).sum(axis=-1)
       errors[motion.name] = float(np.sqrt(squares.mean()))
     return errors
@@ -127,9 +134,12 @@ class ModeEncoder:
     directory = pathlib.Path(files.expand(directory))
     directory.mkdir(parents=True, exist_ok=True)
     weights = safetensors.torch.save(self.network.state_dict())
+    config = dataclasses.asdict(self.config)
+    if self.config.num_feet == motion_lib.NUM_FEET:
+      del config['num_feet']  # As before there were other robots.
     description = {
       'format': _FORMAT,
-      'config': dataclasses.asdict(self.config),
+      'config': config,
       'modes': [mode_files.motion_to_dict(motion) for motion in self.motions],
       'weights_sha256': digest(weights),
     }
@@ -197,7 +207,7 @@ def _reason(error: Exception) -> str:
 
 def make_network(config: EncoderConfig) -> autoencoder.Autoencoder:
   """Returns an untrained network."""
-  size = autoencoder.num_features(config.use_contacts)
+  size = autoencoder.num_features(*config.contacts)
   return autoencoder.Autoencoder(
     size, config.latent_dim, config.hidden, config.seed
   )

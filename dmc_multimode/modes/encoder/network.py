@@ -14,13 +14,17 @@ POSITION = slice(0, 3)  # Columns of the features.
 _NUM_POSE_FEATURES = 7
 
 
-def num_features(use_contacts: bool) -> int:
+def num_features(
+  use_contacts: bool, num_feet: int = motion_lib.NUM_FEET
+) -> int:
   """Returns F, the number of features of one step."""
-  return _NUM_POSE_FEATURES + (motion_lib.NUM_FEET if use_contacts else 0)
+  return _NUM_POSE_FEATURES + (num_feet if use_contacts else 0)
 
 
 def features(
-  motion: motion_lib.ReferenceMotion, use_contacts: bool
+  motion: motion_lib.ReferenceMotion,
+  use_contacts: bool,
+  num_feet: int = motion_lib.NUM_FEET,
 ) -> np.ndarray:
   """Samples one clip of a motion about every 0.03 s, both ends included.
 
@@ -38,7 +42,8 @@ def features(
   orientation = orientation * first * np.append(1.0, signs)[:, None]
   columns = [sampled.position, orientation]
   if use_contacts:
-    columns.append(sampled.contact)
+    none = np.zeros((steps, num_feet))
+    columns.append(none if motion.contacts is None else sampled.contact)
   return np.concatenate(columns, axis=1)
 
 
@@ -96,11 +101,14 @@ class Batch:
     self,
     motions: Sequence[motion_lib.ReferenceMotion],
     use_contacts: bool,
+    num_feet: int = motion_lib.NUM_FEET,
   ):
     if not motions:
       raise ValueError('The encoder needs at least one motion.')
     rows = [
-      torch.tensor(features(motion, use_contacts), dtype=torch.float32)
+      torch.tensor(
+        features(motion, use_contacts, num_feet), dtype=torch.float32
+      )
       for motion in motions
     ]
     self.features = nn.utils.rnn.pad_sequence(rows, batch_first=True)

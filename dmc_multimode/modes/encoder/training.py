@@ -57,7 +57,7 @@ class Progress:
 
 def needs_contacts(motions: Sequence[motion_lib.ReferenceMotion]) -> bool:
   """Returns True if some modes differ in contacts only."""
-  return _twins(motions, False) is not None
+  return _twins(motions, (False, motion_lib.NUM_FEET)) is not None
 
 
 def train(
@@ -81,7 +81,7 @@ def train(
     ConvergenceError: `max_epochs` passed without meeting the tolerances.
   """
   check_set(motions, config)
-  batch = autoencoder.Batch(motions, config.use_contacts)
+  batch = autoencoder.Batch(motions, *config.contacts)
   network = mode_encoder.make_network(config)
   _set_feature_statistics(network, batch)
   optimizer = torch.optim.Adam(network.parameters(), lr=config.learning_rate)
@@ -117,7 +117,7 @@ def check_set(
       mode_files.motion_from_dict(mode_files.motion_to_dict(motion))
     except ValueError as error:
       raise ValueError(f'{motion.name}: {error}') from None
-  twins = _twins(motions, config.use_contacts)
+  twins = _twins(motions, config.contacts)
   if twins:
     hint = '' if config.use_contacts else ' without use_contacts'
     raise ValueError(
@@ -127,13 +127,13 @@ def check_set(
 
 
 def _twins(
-  motions: Sequence[motion_lib.ReferenceMotion], use_contacts: bool
+  motions: Sequence[motion_lib.ReferenceMotion], contacts: tuple[bool, int]
 ) -> tuple[str, str] | None:
   """Returns the names of two modes with equal features, if there are any."""
   seen: dict[bytes, str] = {}
   for motion in motions:
     # Rounded to microns; adding 0 turns -0 into 0.
-    key = (autoencoder.features(motion, use_contacts).round(6) + 0.0).tobytes()
+    key = (autoencoder.features(motion, *contacts).round(6) + 0.0).tobytes()
     if key in seen:
       return seen[key], motion.name
     seen[key] = motion.name

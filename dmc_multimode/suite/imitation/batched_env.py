@@ -26,7 +26,7 @@ from dmc_multimode.suite.imitation import symmetry as task_symmetry
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import arrays
 from dmc_multimode.utils import durations
-from dmc_multimode.walkers import mini_biped
+from dmc_multimode.walkers import derivation
 
 
 class BatchedTimeStep(NamedTuple):
@@ -60,7 +60,7 @@ class BatchedImitation:
 
   Attributes:
     physics: the engine's worlds.
-    qpos, qvel: its generalised positions [B, 17] and velocities [B, 16].
+    qpos, qvel: its generalised positions [B, 7 + J] and velocities [B, 6 + J].
     core: the task's worlds.
     steps: environment steps so far, summed over all worlds of all replicas.
     moving: whether the physics of each world is stepped, [B]. A world that is
@@ -111,17 +111,17 @@ class BatchedImitation:
     self._auto_reset = auto_reset
     self._replicas = replicas
     latent_dim = task.mode_set.latent_dim
-    extra = self.config.observed_terms
-    self._size = observations.size(latent_dim, privileged, extra)
+    extra, robot = self.config.observed_terms, self.config.robot
+    self._size = observations.size(latent_dim, privileged, extra, robot)
     self.privileged_size = self._size - observations.size(
-      latent_dim, extra=extra
+      latent_dim, extra=extra, robot=robot
     )
-    self._errors = observations.SensorErrors(latent_dim, extra)
+    self._errors = observations.SensorErrors(latent_dim, extra, robot)
     scale = self.config.events.sensor_noise
     self._noisy = max(scale.first, scale.last) > 0
     self._sensor_errors = np.zeros((num_worlds, len(self._errors.noise)))
     self._disturbances = self.config.events.disturbances
-    self._soles = np.full((num_worlds, 2, 3), np.inf)
+    self._soles = np.full((num_worlds, robot.num_feet, 3), np.inf)
     self._random_state = (
       seed
       if isinstance(seed, np.random.RandomState)
@@ -131,7 +131,7 @@ class BatchedImitation:
     if model is None:
       model = mujoco_worlds.compile_model(task)
     self.physics = mujoco_worlds.MujocoWorlds(
-      model, self._arena, num_worlds, num_threads, self._disturbances
+      model, self._arena, num_worlds, num_threads, self._disturbances, robot
     )
     self.qpos, self.qvel = self.physics.qpos, self.physics.qvel
     self._returns = np.zeros(num_worlds)
@@ -155,12 +155,12 @@ class BatchedImitation:
     return specs.Array((self._size,), np.float32, name='observation')
 
   def action_spec(self) -> specs.BoundedArray:
-    """One world's action: joint targets in radians, [10]."""
+    """One world's action: joint targets in radians, [J]."""
     return self._action_spec
 
   def standing_action(self) -> np.ndarray:
-    """Returns joint targets that hold the initial crouch, radians, [10]."""
-    return mini_biped.standing_action(self.physics.model)
+    """Returns joint targets that hold the standing pose, radians, [J]."""
+    return derivation.standing_action(self.physics.model, self.config.robot)
 
   def mirror_image(self) -> task_symmetry.MirrorImage:
     """Returns the left-right mirror image; see `symmetry.mirror_image`."""
@@ -168,6 +168,7 @@ class BatchedImitation:
       self.mode_set,
       self.privileged_size > 0,
       self.config.observed_terms,
+      self.config.robot,
     )
 
   @property
@@ -205,7 +206,7 @@ class BatchedImitation:
     """Applies actions for one control step.
 
     Args:
-      actions: joint targets in radians, clipped to their bounds, [B, 10]. Those
+      actions: joint targets in radians, clipped to their bounds, [B, J]. Those
         of worlds that are not stepped, or have diverged, do not matter.
 
     Raises:
@@ -575,7 +576,7 @@ class BatchedImitation:
     self.physics.move_boxes(ids, self.core.terrain.rows(ids))
 
   def feet_contact(self) -> np.ndarray:
-    """Returns the contacts of the feet (left, right), 0 or 1, [B, 2]."""
+    """Returns the contacts of the feet, 0 or 1, [B, F]."""
     return (self.physics.touch() > self.config.contact_force).astype(np.float64)
 
   def measure(self) -> dict[str, np.ndarray]:
@@ -583,7 +584,7 @@ class BatchedImitation:
 
     position: of the trunk, world metres, [B, 3]; reference: likewise; support:
     height of the plane under the trunk, metres, [B]; yaw: of the trunk in the
-    world, radians, [B]; contact: feet on the ground (left, right), [B, 2];
+    world, radians, [B]; contact: feet on the ground, [B, F];
     reference_contact: likewise, zero where the mode has none; mode: index, [B];
     phase: in [0, 1], [B].
     """

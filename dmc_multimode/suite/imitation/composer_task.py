@@ -2,6 +2,7 @@
 
 import collections
 import copy
+import math
 import operator
 from typing import Any
 
@@ -21,9 +22,10 @@ from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import arrays
-from dmc_multimode.walkers import mini_biped
+from dmc_multimode.walkers import robot_walker
 
 _WORLD = np.array([0])
+_MEMORY, _FEW_JOINTS = 2, 10  # Megabytes of a robot of so many joints.
 _GOOD, _BAD = np.array([0.2, 0.7, 0.3]), np.array([0.85, 0.2, 0.15])
 
 
@@ -37,7 +39,7 @@ class Imitation(composer.Task):
 
   def __init__(
     self,
-    walker: mini_biped.MiniBiped,
+    walker: robot_walker.RobotWalker,
     arena: track_lib.Track,
     mode_set: mode_set_lib.ModeSet,
     episodes: episodes_lib.EpisodeInitialiser,
@@ -46,16 +48,25 @@ class Imitation(composer.Task):
     """Puts the walker on the arena.
 
     Args:
-      walker: the robot; becomes part of the arena.
+      walker: the configuration's robot; becomes part of the arena.
       arena: the track that the robot is attached to.
       mode_set: the modes.
       episodes: chooses each episode's mode schedule.
       config: of the task; defaults otherwise.
+
+    Raises:
+      ValueError: the walker is not the configuration's robot, or the modes have
+        contacts of other feet.
     """
     self._arena, self._walker = arena, walker
-    self.mode_set = mode_set
-    self.episodes = episodes
     self.config = config or task_config.ImitationConfig()
+    robot = self.config.robot
+    if walker.robot != robot:
+      raise ValueError(
+        f'The walker is {walker.robot}, the task is for {robot}.'
+      )
+    self.mode_set = mode_set.for_feet(robot.num_feet)
+    self.episodes = episodes
     self._walker.create_root_joints(self._arena.attach(self._walker))
     self._set_physics_options()
     self._set_scene_options()
@@ -71,9 +82,9 @@ class Imitation(composer.Task):
     self._random_state = np.random.RandomState()  # Until there is one.
     self._episode: episodes_lib.Episodes | None = None
     self._body: tuple[Any, disturbances.Body] | None = None
-    self._targets = np.zeros((self.config.substeps, observations.NUM_JOINTS))
+    self._targets = np.zeros((self.config.substeps, robot.num_joints))
     self._errors = observations.SensorErrors(
-      mode_set.latent_dim, self.config.extra_observations
+      mode_set.latent_dim, self.config.extra_observations, robot
     )
     self._sensor_errors = np.zeros((1, len(self._errors.noise)))
     self._add_observables()
@@ -98,7 +109,8 @@ class Imitation(composer.Task):
     root.visual.quality.shadowsize = 1024
     root.statistic.center, root.statistic.extent = [0, 0, 0.5], 3.0
     # More than boxes and feet need, so that memory never grows.
-    root.size.memory = '2M'
+    megabytes = _MEMORY * math.ceil(self.config.robot.num_joints / _FEW_JOINTS)
+    root.size.memory = f'{megabytes}M'
 
   def make_core(
     self, num_worlds: int, max_knots: int
@@ -115,7 +127,9 @@ class Imitation(composer.Task):
 
   def _add_observables(self) -> None:
     layout = observations.layout(
-      self.mode_set.latent_dim, extra=self.config.extra_observations
+      self.mode_set.latent_dim,
+      extra=self.config.extra_observations,
+      robot=self.config.robot,
     )
     self._task_observables = collections.OrderedDict()
     for name, size in layout:
@@ -142,7 +156,7 @@ class Imitation(composer.Task):
     return self._arena
 
   @property
-  def walker(self) -> mini_biped.MiniBiped:
+  def walker(self) -> robot_walker.RobotWalker:
     """The robot."""
     return self._walker
 
@@ -183,7 +197,7 @@ class Imitation(composer.Task):
     return self._outcome
 
   def action_spec(self, physics: Any) -> Any:
-    """Joint targets in radians, float64 [10]."""
+    """Joint targets in radians, float64 [J]."""
     del physics
     return self._walker.action_spec
 
@@ -278,14 +292,14 @@ class Imitation(composer.Task):
 
     Args:
       physics: of the running episode.
-      action: joint targets in radians, [10].
+      action: joint targets in radians, [J].
       random_state: unused.
 
     Raises:
       ValueError: they are no numbers, have another shape, or are not finite;
         the state is as before.
     """
-    action = arrays.numbers(action, 'action', (len(mini_biped.JOINTS),))
+    action = arrays.numbers(action, 'action', (self.config.robot.num_joints,))
     if not np.isfinite(action).all():
       raise ValueError(f'action must be finite, got {action.tolist()}')
     if self._outcome is None:
@@ -394,6 +408,8 @@ class Imitation(composer.Task):
 
   def _colour(self, physics: Any, reward: float) -> None:
     material = self._walker.mjcf_model.find('material', 'eye')
+    if material is None:
+      return
     colour = _BAD + reward * (_GOOD - _BAD)
     physics.bind(material).rgba = np.append(colour, 1.0)
 
@@ -419,5 +435,5 @@ class Imitation(composer.Task):
 
 
 def _state(physics: Any) -> tuple[np.ndarray, np.ndarray]:
-  """Returns qpos [1, 17] and qvel [1, 16]."""
+  """Returns qpos [1, 7 + J] and qvel [1, 6 + J]."""
   return physics.data.qpos[None].copy(), physics.data.qvel[None].copy()

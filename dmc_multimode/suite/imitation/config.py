@@ -3,9 +3,10 @@
 import dataclasses
 import functools
 import math
-from typing import Any, Iterable, Mapping
+from typing import Annotated, Any, Iterable, Mapping
 
 import numpy as np
+import pydantic
 
 from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.suite.imitation import events as events_lib
@@ -15,6 +16,14 @@ from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import constants
 from dmc_multimode.utils import durations
+from dmc_multimode.walkers import robot as robot_lib
+
+
+def _robot(value: Any) -> robot_lib.Robot:
+  """Returns the robot of a field, or of its JSON."""
+  return (
+    value if isinstance(value, robot_lib.Robot) else robot_lib.from_dict(value)
+  )
 
 
 @config_lib.dataclass
@@ -42,6 +51,7 @@ class ImitationConfig:
     velocity_noise: standard deviation of the initial velocities, m/s and rad/s.
     tilt_noise: standard deviation of the initial roll and pitch, radians.
     contact_force: least force on a foot that counts as a contact, newtons.
+    robot: that does it; see `for_robot`.
   """
 
   gains: rewards.RewardGains = rewards.RewardGains()
@@ -57,6 +67,11 @@ class ImitationConfig:
   velocity_noise: config_lib.NonNegative = 0.1
   tilt_noise: config_lib.NonNegative = 0.03
   contact_force: config_lib.NonNegative = 1.0
+  robot: Annotated[robot_lib.Robot, pydantic.PlainValidator(_robot)] = (
+    dataclasses.field(
+      default_factory=robot_lib.mini_biped, metadata={'flag': False}
+    )
+  )
 
   def __post_init__(self) -> None:
     observations.check_extra(self.extra_observations)
@@ -126,7 +141,9 @@ class ImitationConfig:
     distance = self.limits.distance + max(slack.first, slack.last)
     for motion in motions:
       motion_lib.check_cycle(motion, self.control_timestep)
-      motion_lib.check_start(motion, distance, self.limits.angle)
+      motion_lib.check_start(
+        motion, distance, self.limits.angle, self.robot.stand_height
+      )
 
 
 def evaluated(config: ImitationConfig, **changes: Any) -> ImitationConfig:
@@ -141,17 +158,78 @@ def evaluated(config: ImitationConfig, **changes: Any) -> ImitationConfig:
   Raises:
     ValueError: the values are not those of a task.
   """
+  period = changes.get('control_timestep', config.control_timestep)
   values = {
     'events': events_lib.NONE,
-    'physics_timestep': constants.PHYSICS_TIMESTEP,
+    'physics_timestep': _dividing(constants.PHYSICS_TIMESTEP, period),
     **changes,
   }
   return dataclasses.replace(config, **values)
 
 
+def for_robot(
+  config: ImitationConfig, robot: robot_lib.Robot
+) -> ImitationConfig:
+  """Returns a configuration, made for the mini biped, for another robot.
+
+  Its lengths are in proportion to the heights of the trunks, and the period of
+  the policy is that of the robot's declaration.
+
+  Args:
+    config: with the lengths and times of the mini biped.
+    robot: that gets the task; its model is compiled.
+  """
+  size, period = robot.size, robot.declaration.control_timestep
+  gain, slack = config.gains.position, config.events.distance_slack
+  return dataclasses.replace(
+    config,
+    robot=robot,
+    control_timestep=period,
+    physics_timestep=_dividing(config.physics_timestep, period),
+    gains=dataclasses.replace(
+      config.gains,
+      position=dataclasses.replace(gain, sensitivity=gain.sensitivity / size),
+    ),
+    limits=dataclasses.replace(
+      config.limits,
+      distance=config.limits.distance * size,
+      height=config.limits.height * size,
+    ),
+    events=dataclasses.replace(
+      config.events,
+      edge_noise=config.events.edge_noise * size,
+      distance_slack=dataclasses.replace(
+        slack, first=slack.first * size, last=slack.last * size
+      ),
+    ),
+  )
+
+
+def _dividing(longest: float, period: float) -> float:
+  """Returns a period of physics, at most `longest`, that divides another."""
+  ratio = period / longest
+  if abs(ratio - round(ratio)) < 1e-6 and ratio > 0.5:
+    return longest
+  return period / math.ceil(ratio)
+
+
 def to_dict(config: ImitationConfig) -> dict[str, Any]:
-  """Returns the configuration as JSON values."""
-  return config_lib.to_dict(config)
+  """Returns the configuration as JSON values.
+
+  Those of the mini biped have no robot in them, as before there were others.
+  """
+  values = config_lib.to_dict(config)
+  if config.robot.is_mini_biped:
+    del values['robot']
+  return values
+
+
+def summary(config: ImitationConfig) -> dict[str, Any]:
+  """Returns the configuration as JSON values, of a robot its name and hash."""
+  values, robot = to_dict(config), config.robot
+  if 'robot' in values:
+    values['robot'] = {'name': robot.name, 'digest': robot.digest}
+  return values
 
 
 def from_dict(values: Mapping[str, Any]) -> ImitationConfig:

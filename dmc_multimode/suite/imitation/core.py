@@ -29,8 +29,6 @@ from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.suite.imitation import terrain_events
 from dmc_multimode.utils import arrays
 
-_ANYWHERE = np.eye(7 + observations.NUM_JOINTS)[3]  # Qpos: unturned.
-
 
 class Outcome(NamedTuple):
   """Outcome of a control step, [B] each.
@@ -58,8 +56,8 @@ class ImitationCore:
     tracker: commands, clocks and references.
     terrain: of every world.
     terrain_events: edits the terrain when modes begin.
-    contact: feet on the ground (left, right), 0 or 1, [B, 2].
-    actions: last joint targets, the newest first, radians, [B, H, 10]; at the
+    contact: feet on the ground, in the robot's order, 0 or 1, [B, F].
+    actions: last joint targets, the newest first, radians, [B, H, J]; at the
       start of an episode, the joints' angles.
     distance_slack: added to the limit on the distance, metres.
     push_slack: likewise, of each world, [B].
@@ -85,6 +83,7 @@ class ImitationCore:
       adaptive_terrain: puts ledges where commanded modes need them.
       max_knots: the most commands that a schedule may hold.
     """
+    mode_set = mode_set.for_feet(config.robot.num_feet)
     config.check_modes(mode_set.motions)
     self.config = config
     self.distance_slack = 0.0
@@ -98,10 +97,12 @@ class ImitationCore:
       config.feasible_references,
     )
     self.terrain = terrain_lib.empty(num_worlds, num_segments)
-    self.contact = np.zeros((num_worlds, 2))
+    robot = config.robot
+    self.contact = np.zeros((num_worlds, robot.num_feet))
     self.actions = np.zeros(
-      (num_worlds, config.action_history, observations.NUM_JOINTS)
+      (num_worlds, config.action_history, robot.num_joints)
     )
+    self._anywhere = np.eye(7 + robot.num_joints)[3]  # Qpos: unturned.
     self.terrain_events = terrain_events.TerrainEvents(
       mode_set,
       self.terrain,
@@ -109,6 +110,7 @@ class ImitationCore:
       config.events.edge_noise,
       config.events.obstacles.at(0),
       adaptive_terrain,
+      robot.size,
     )
 
   def start(
@@ -127,7 +129,7 @@ class ImitationCore:
       random_state: source of the initial state's noise.
 
     Returns:
-      Initial qpos [N, 17] and qvel [N, 16].
+      Initial qpos [N, 7 + J] and qvel [N, 6 + J].
     """
     count = len(ids)
     on_reference = random_state.uniform(size=count) < (
@@ -155,7 +157,7 @@ class ImitationCore:
     return qpos, qvel
 
   def act(self, actions: np.ndarray) -> None:
-    """Remembers the joint targets of a control step, radians, [B, 10]."""
+    """Remembers the joint targets of a control step, radians, [B, J]."""
     self.actions[:, 1:] = self.actions[:, :-1].copy()
     self.actions[:, 0] = actions
 
@@ -165,8 +167,8 @@ class ImitationCore:
     """Advances the clocks; returns the outcome of the state reached.
 
     Args:
-      qpos, qvel: generalised positions [B, 17] and velocities [B, 16].
-      contact: feet on the ground (left, right), 0 or 1, [B, 2].
+      qpos, qvel: generalised positions [B, 7 + J] and velocities [B, 6 + J].
+      contact: feet on the ground, in the robot's order, 0 or 1, [B, F].
     """
     config = self.config
     self.contact[:] = contact
@@ -174,7 +176,9 @@ class ImitationCore:
     finite = arrays.finite_rows(qpos) & arrays.finite_rows(qvel)
     # A world that diverged has no position; any finite one keeps the others
     # going.
-    safe = qpos if finite.all() else np.where(finite[:, None], qpos, _ANYWHERE)
+    safe = (
+      qpos if finite.all() else np.where(finite[:, None], qpos, self._anywhere)
+    )
     reference = self.reference(safe[:, 0])
     orientation = observations.heading_frame(
       safe[:, 3:7], self.tracker.state.heading
@@ -244,7 +248,7 @@ class ImitationCore:
     Args:
       ids: worlds, [N].
       modes: their new modes, [N].
-      qpos, qvel: of all worlds, [B, 17] and [B, 16].
+      qpos, qvel: of all worlds, [B, 7 + J] and [B, 6 + J].
       random_state: source of the places of ledges and obstacles.
 
     Returns:
@@ -275,25 +279,27 @@ class ImitationCore:
 
     Args:
       reference: pose of the mode that is in force.
-      soles: world positions of the soles (left, right), metres, [B, 2, 3].
+      soles: world positions of the soles, metres, [B, F, 3].
     """
     swinging, time, length = self.tracker.swing_timing()
     progress = np.where(length > 0, 0.5 + time / np.maximum(length, 1e-9), 0.5)
     return events.contact_schedule_agreement(
       self.contact,
-      self.clearance(soles),
+      self.clearance(soles) / self.config.robot.size,
       reference.contact,
       reference.has_contact,
       np.where(swinging, progress[:, None], np.nan),
     )
 
   def clearance(self, soles: np.ndarray) -> np.ndarray:
-    """Returns heights of the soles over the ground below, metres, [B, 2].
+    """Returns heights of the soles over the ground below, metres, [B, F].
 
     Args:
-      soles: world positions of the soles (left, right), metres, [B, 2, 3].
+      soles: world positions of the soles, metres, [B, F, 3].
     """
-    grounds = [self.support(soles[:, foot, 0]) for foot in range(2)]
+    grounds = [
+      self.support(soles[:, foot, 0]) for foot in range(soles.shape[1])
+    ]
     return soles[:, :, 2] - np.stack(grounds, axis=1)
 
   def motion(
@@ -306,28 +312,37 @@ class ImitationCore:
     """Returns the motion that costs are computed from.
 
     Args:
-      joints: angles, radians, [B, 10].
-      limits: of the joints, radians, [10, 2].
-      soles: world positions of the soles, metres, [B, 2, 3].
+      joints: angles, radians, [B, J].
+      limits: of the joints, radians, [J, 2].
+      soles: world positions of the soles, metres, [B, F, 3].
       before: likewise, a control step earlier; infinite for none.
     """
     state, bank = self.tracker.state, self.tracker.bank
     rise = np.where(np.isinf(before), 0.0, soles - before)[:, :, 2]
-    apart = soles[:, 0] - soles[:, 1]
+    robot = self.config.robot
+    # Costs are of lengths and speeds of the mini biped.
+    size, derived = robot.size, robot.derived
+    apart = np.mean(
+      [
+        soles[:, left] - soles[:, right] for left, right in derived.mirror.pairs
+      ],
+      axis=0,
+    )
     return motion_costs.Motion(
       self.actions,
       joints,
       limits,
       self.contact,
-      self.clearance(soles),
+      self.clearance(soles) / size,
       terrain_lib.overhang(
         self.terrain,
         soles[:, :, 0],
-        motion_costs.HALF_FOOT,
-        motion_costs.EVEN,
+        motion_costs.HALF_FOOT * size,
+        motion_costs.EVEN * size,
       ),
-      rise / self.config.control_timestep,
-      observations.in_heading(apart, state.heading)[:, 1],
+      rise / self.config.control_timestep / np.sqrt(size),
+      observations.in_heading(apart, state.heading)[:, 1] / size,
+      derived.stance_width / size,
       bank.steady[state.mode],
       ~(bank.flies | (bank.takeoffs > 0))[state.mode],
       bank.straight[state.mode],
@@ -351,7 +366,7 @@ class ImitationCore:
     """Returns the parts of the observation by name; see `observations`.
 
     Args:
-      qpos, qvel: of the worlds `ids`, [N, 17] and [N, 16].
+      qpos, qvel: of the worlds `ids`, [N, 7 + J] and [N, 6 + J].
       ids: worlds, [N]; all by default.
       share: of a control step that has passed since the last `advance`.
     """
@@ -411,7 +426,7 @@ class ImitationCore:
     """Returns the privileged critic observations; see `observations`.
 
     Args:
-      qpos: of the worlds `ids`, [N, 17].
+      qpos: of the worlds `ids`, [N, 7 + J].
       ids: worlds, [N]; all by default.
     """
     countdown, following = self.tracker.upcoming(ids)

@@ -186,7 +186,7 @@ def push(
   """Adds random horizontal velocities to some robots, in place.
 
   Args:
-    qvel: generalised velocities, [B, 16]; changed in place.
+    qvel: generalised velocities, [B, 6 + J]; changed in place.
     speed: largest velocity that a push adds, m/s; at 0 nothing is drawn.
     probability: of a push, for each robot.
     random_state: source of the robots, speeds and directions.
@@ -221,13 +221,12 @@ def contact_schedule_agreement(
   feet is 0 for a shuffle, which always has one foot right.
 
   Args:
-    contact, reference_contact: feet on the ground (left, right), 0 or 1,
-      [B, 2].
-    clearance: of the soles over the ground below, metres, [B, 2].
+    contact, reference_contact: feet on the ground, 0 or 1, [B, F].
+    clearance: of the soles over the ground below, metres, [B, F].
     has_contact: whether the reference prescribes contacts, [B]; where not, the
       agreement is 1.
     progress: of the swing of a foot while the other stands, in [0, 1]; NaN for
-      feet that do not, [B, 2].
+      feet that do not, [B, F].
   """
   swing = np.clip(clearance / _CLEARANCE, 0.0, 1.0)
   bell = np.maximum(_SWING_HEIGHT * np.sin(np.pi * progress), _LEAST_SWING)

@@ -19,25 +19,26 @@ _NEAR_LIMIT = np.deg2rad(3.0)  # Before a joint's limit.
 _EXCESS = 0.1  # Radians in the zone of a limit that cost 1.
 HALF_FOOT = 0.06  # Metres from the middle of a sole; its ends are at 7.5 cm.
 EVEN = 0.02  # Metres: smaller rises of the ground are none.
-_WIDTH = 0.18  # Metres between the feet in the crouch.
 _WIDTH_SLACK = 0.04  # Metres.
 _STRADDLE = 0.1  # Metres beyond the slack that cost 1.
 
 
 class Motion(NamedTuple):
-  """Robots at the end of a control step.
+  """Robots at the end of a control step, in lengths of the mini biped.
 
   Attributes:
-    actions: the last joint targets, the newest first, radians, [B, H, 10];
+    actions: the last joint targets, the newest first, radians, [B, H, J];
       H >= 3.
-    joints: angles, radians, [B, 10].
-    limits: of the joints, radians, [10, 2].
-    contact: feet on the ground (left, right), 0 or 1, [B, 2].
-    clearance: of the soles over the ground, metres, [B, 2].
+    joints: angles, radians, [B, J].
+    limits: of the joints, radians, [J, 2].
+    contact: feet on the ground, in the robot's order, 0 or 1, [B, F].
+    clearance: of the soles over the ground, metres, [B, F].
     overhang: share of each sole's ends that are not over the ground under its
-      middle, [B, 2].
-    sole_velocity: of the soles, vertical, m/s, [B, 2].
-    width: sideways from the right to the left sole, metres, [B].
+      middle, [B, F].
+    sole_velocity: of the soles, vertical, m/s, [B, F].
+    width: sideways from right soles to left ones, mean over the pairs, metres,
+      [B].
+    stance_width: likewise, in the standing pose.
     steady: whether the running mode is one pose, [B].
     grounded: whether the running mode has no flight, [B].
     straight: whether it steps with one foot at a time and neither turns nor
@@ -52,6 +53,7 @@ class Motion(NamedTuple):
   overhang: np.ndarray
   sole_velocity: np.ndarray
   width: np.ndarray
+  stance_width: float
   steady: np.ndarray
   grounded: np.ndarray
   straight: np.ndarray
@@ -97,8 +99,9 @@ def foothold(motion: Motion) -> np.ndarray:
 
 
 def straddle(motion: Motion) -> np.ndarray:
-  """Returns how far straight gaits are off the crouch's width, at most 1."""
-  off = np.maximum(np.abs(motion.width - _WIDTH) - _WIDTH_SLACK, 0.0)
+  """Returns how far straight gaits are off the stance's width, at most 1."""
+  off = np.abs(motion.width - motion.stance_width)
+  off = np.maximum(off - _WIDTH_SLACK, 0.0)
   cost = np.minimum(off / _STRADDLE, 1.0) ** 2
   return np.where(motion.straight, cost, 0.0)
 

@@ -14,9 +14,9 @@ from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.arenas import track as track_lib
 from dmc_multimode.suite.imitation import composer_task
 from dmc_multimode.suite.imitation import disturbances
-from dmc_multimode.walkers import mini_biped
+from dmc_multimode.walkers import derivation
+from dmc_multimode.walkers import robot as robot_lib
 
-_SOLE = np.array([0.0, 0.0, 0.01])  # Under the middle of a level foot, metres.
 # Fields of a model that depend on the size of a box.
 _CONTROL = mujoco.mjtState.mjSTATE_CTRL
 _SIZES = ('geom_size', 'geom_rbound', 'geom_aabb', 'bvh_aabb')
@@ -28,9 +28,9 @@ class MujocoWorlds:
   Attributes:
     model: shared by all worlds, but for the sizes of their boxes.
     batch: the engine.
-    qpos, qvel: generalised positions [B, 17] and velocities [B, 16], views;
-      writing to them sets the state.
-    joint_limits: lower and upper, radians, [10, 2].
+    qpos, qvel: generalised positions [B, 7 + J] and velocities [B, 6 + J],
+      views; writing to them sets the state.
+    joint_limits: lower and upper, radians, [J, 2].
   """
 
   def __init__(
@@ -40,6 +40,7 @@ class MujocoWorlds:
     num_worlds: int,
     num_threads: int,
     disturbed: disturbances.Disturbances = disturbances.NOMINAL,
+    robot: robot_lib.Robot | None = None,
   ):
     """Allocates the worlds.
 
@@ -49,14 +50,19 @@ class MujocoWorlds:
       num_worlds: B.
       num_threads: 0 takes every core.
       disturbed: the rows of these that are not nominal can be written.
+      robot: of the task; the mini biped by default.
     """
+    robot = robot_lib.find(robot)
     self.model = model
     self.batch = mujoco_batch.Batch(model, num_worlds, num_threads)
     self.qpos, self.qvel = self.batch.bind('qpos'), self.batch.bind('qvel')
     self._ctrl = self.batch.bind('ctrl')
     self._touch = self.batch.bind('sensordata')
     self._site_xpos = self.batch.bind('site_xpos')
-    self._feet = model.sensor_objid[: len(mini_biped.SIDES)]
+    self._feet = model.sensor_objid[: robot.num_feet]
+    # Under the sites of the feet, world metres.
+    self._soles = np.zeros((robot.num_feet, 3))
+    self._soles[:, 2] = robot.derived.sole_depth
     self._boxes = [
       model.geom(geom.full_identifier).id for geom in arena.ground_geoms
     ]
@@ -72,7 +78,7 @@ class MujocoWorlds:
       model,
       disturbed,
       self.batch.expand,
-      model.body('walker/trunk').id,
+      model.body(derivation.PREFIX + robot.declaration.trunk).id,
     )
 
   @property
@@ -81,7 +87,7 @@ class MujocoWorlds:
     return self.batch.state
 
   def reset(self, ids: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> None:
-    """Puts the worlds `ids` into initial states, [N, 17] and [N, 16]."""
+    """Puts the worlds `ids` into initial states, [N, 7 + J] and [N, 6 + J]."""
     self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
     self.qpos[ids], self.qvel[ids] = qpos, qvel
 
@@ -91,8 +97,8 @@ class MujocoWorlds:
     """Steps the physics.
 
     Args:
-      targets: of the joints, radians, [B, 10], or for each physics step,
-        [B, num, 10].
+      targets: of the joints, radians, [B, J], or for each physics step,
+        [B, num, J].
       moving: whether each world is stepped, [B].
       num: physics steps.
 
@@ -173,18 +179,20 @@ class MujocoWorlds:
       self.batch.set_const(ids)
 
   def touch(self) -> np.ndarray:
-    """Returns the forces on the soles (left, right), newtons, [B, 2]."""
+    """Returns the forces on the feet, newtons, [B, F]."""
     return self._touch
 
   def soles(self) -> np.ndarray:
-    """Returns world positions of the soles, metres, [B, 2, 3]."""
-    return self._site_xpos[:, self._feet] - _SOLE
+    """Returns world positions of the soles, metres, [B, F, 3]."""
+    return self._site_xpos[:, self._feet] - self._soles
 
 
 def make_spec(task: composer_task.Imitation) -> mujoco.MjSpec:
   """Returns the specification of the task's model, with foot sensors only."""
   root = task.root_entity.mjcf_model
-  spec = mujoco.MjSpec.from_string(root.to_xml_string(), root.get_assets())
+  spec = mujoco.MjSpec.from_string(
+    root.to_xml_string(), assets=root.get_assets()
+  )
   kept = {sensor.full_identifier for sensor in task.walker.foot_sensors}
   for sensor in list(spec.sensors):
     if sensor.name not in kept:
@@ -209,6 +217,6 @@ def compile_model(task: composer_task.Imitation) -> mujoco.MjModel:
     model.sensor_adr[model.sensor(sensor.full_identifier).id]
     for sensor in task.walker.foot_sensors
   ]
-  if feet != list(range(len(mini_biped.SIDES))):
+  if feet != list(range(len(feet))):
     raise ValueError('The foot sensors are not where they are expected.')
   return model

@@ -4,7 +4,8 @@
 observation, in order: [clock (2), command (n_m), state (31)] as in the paper;
 those of `EXTRA_TERMS` that the task's configuration names; and, in training
 alone, what the value function observes besides. Sizes, the layout, the
-left-right mirror image and the sensor noise follow from the declarations.
+left-right mirror image and the sensor noise follow from the declarations, and
+from the robot, by default the mini biped.
 Orientation and heading-dependent quantities are relative to the commanded
 heading, never to the world.
 
@@ -16,6 +17,7 @@ critic observations.
 """
 
 import dataclasses
+import enum
 from typing import (
   Any,
   Callable,
@@ -28,11 +30,11 @@ from typing import (
 import numpy as np
 
 from dmc_multimode.utils import arrays
+from dmc_multimode.walkers import robot as robot_lib
 
 if TYPE_CHECKING:
   from scipy.spatial import transform
 
-NUM_JOINTS = 10
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 _HORIZON = 1.5  # Seconds: the countdown saturates here.
 _SIGHT = 1.0  # Metres: the distance to a ledge saturates here.
@@ -58,9 +60,9 @@ class PolicyView(NamedTuple):
 
   Attributes:
     qpos: free joint (world position in metres, quaternion), then the joints in
-      radians, [B, 17].
+      radians, [B, 7 + J].
     qvel: free joint (world linear velocity in m/s, angular velocity in the
-      trunk frame in rad/s), then the joints in rad/s, [B, 16].
+      trunk frame in rad/s), then the joints in rad/s, [B, 6 + J].
     support: height of the support plane under the trunk, metres, [B].
     heading: commanded heading, radians, [B].
     phase: in [0, 1], [B].
@@ -68,7 +70,7 @@ class PolicyView(NamedTuple):
     displacement: of the trunk from the reference, x and y, world metres,
       [B, 2].
     clock_rate: rate of the phase clock, 1 being the reference's own, [B].
-    actions: last joint targets, the newest first, radians, [B, H, 10].
+    actions: last joint targets, the newest first, radians, [B, H, J].
     ground: heights of the ground at `SCAN` over the support plane, as it was
       `SCAN_AGE` ago, metres, [B, 16]; minus infinity where there is none.
     quaternion: of the trunk, (w, x, y, z), finite, [B, 4].
@@ -95,7 +97,7 @@ class CriticView(NamedTuple):
   Attributes:
     position, reference: of the trunk, world metres, [B, 3].
     heading: commanded heading, radians, [B].
-    contact: feet on the ground (left, right), 0 or 1, [B, 2].
+    contact: feet on the ground, in the robot's order, 0 or 1, [B, F].
     countdown: seconds until the next command, infinite without one, [B].
     next_command: latent of the next command, [B, n_m].
     edge: x of the start of the next segment of the ground, world metres,
@@ -124,6 +126,14 @@ FRAMES: Mapping[str, str] = {
 }
 
 
+class Per(enum.Enum):
+  """Things of which a part has one number each."""
+
+  LATENT = 'latent'  # Mirrored to the latent of the mirrored mode.
+  JOINT = 'joint'
+  FOOT = 'foot'
+
+
 @dataclasses.dataclass(frozen=True)
 class Term:
   """One part of the flat observation.
@@ -132,10 +142,9 @@ class Term:
     name: key of the part in the observation.
     unit: of its numbers; empty for none.
     function: computes the part from a view, [B, size].
-    size: length of the part; None for a latent's n_m. A latent is mirrored to
-      that of the mirrored mode.
+    size: length of the part, or what it has a number of, whose mirror image is
+      that of the robot.
     signs: of the entries in the left-right mirror image, [size]; 1 if None.
-    order: indices of the entries in the mirror image, [size]; itself if None.
     frame: that its vectors are in, one of `FRAMES`; empty for none.
     noise: standard deviation of the sensor noise that `sensor_noise` of 1
       means, in the unit.
@@ -145,23 +154,20 @@ class Term:
   name: str
   unit: str
   function: Callable[[Any], np.ndarray]
-  size: int | None = 1
+  size: int | Per = 1
   signs: tuple[int, ...] | None = None
-  order: tuple[int, ...] | None = None
   frame: str = ''
   noise: float = 0.0
   dropouts: float = 0.0
 
 
-# Equal angles of the two legs, left leg first, are mirror images.
-_LEGS_EXCHANGED = (*range(5, NUM_JOINTS), *range(5))
 # Reflection in the plane y = 0.
 _VECTOR, _AXIAL_VECTOR, _QUATERNION = (1, -1, 1), (-1, 1, -1), (1, -1, 1, -1)
 
 PAPER_TERMS: tuple[Term, ...] = (
   # The mirror image of the clock depends on the mode.
   Term('clock', '', lambda view: clock(view.phase), 2),
-  Term('command', '', lambda view: view.command, None),
+  Term('command', '', lambda view: view.command, Per.LATENT),
   Term(
     'height',
     'm',
@@ -182,8 +188,7 @@ PAPER_TERMS: tuple[Term, ...] = (
     'joints_pos',
     'rad',
     lambda view: view.qpos[:, 7:],
-    NUM_JOINTS,
-    order=_LEGS_EXCHANGED,
+    Per.JOINT,
     noise=0.01,
   ),
   Term(
@@ -208,8 +213,7 @@ PAPER_TERMS: tuple[Term, ...] = (
     'joints_vel',
     'rad/s',
     lambda view: view.qvel[:, 6:],
-    NUM_JOINTS,
-    order=_LEGS_EXCHANGED,
+    Per.JOINT,
     noise=0.1,
   ),
 )
@@ -231,8 +235,7 @@ EXTRA_TERMS: tuple[Term, ...] = (
     'previous_action',
     'rad',
     lambda view: view.actions[:, 0],
-    NUM_JOINTS,
-    order=_LEGS_EXCHANGED,
+    Per.JOINT,
   ),
   # On a robot: from a depth camera or a map.
   Term(
@@ -255,11 +258,11 @@ CRITIC_TERMS: tuple[Term, ...] = (
     _VECTOR,
     frame='heading',
   ),
-  Term('contact', '', lambda view: view.contact, 2, order=(1, 0)),
+  Term('contact', '', lambda view: view.contact, Per.FOOT),
   Term(
     'countdown', 's', lambda view: np.minimum(view.countdown, _HORIZON)[:, None]
   ),
-  Term('next_command', '', lambda view: view.next_command, None),
+  Term('next_command', '', lambda view: view.next_command, Per.LATENT),
   Term('ground_ahead', 'm', lambda view: _ground_ahead(view), 3),
 )
 # The critic's, in trainings that draw them.
@@ -303,20 +306,40 @@ def critic_terms(extra: Iterable[str] = ()) -> tuple[Term, ...]:
 
 
 def layout(
-  latent_dim: int, privileged: bool = False, extra: Iterable[str] = ()
+  latent_dim: int,
+  privileged: bool = False,
+  extra: Iterable[str] = (),
+  robot: robot_lib.Robot | None = None,
 ) -> tuple[tuple[str, int], ...]:
-  """Returns (name, size) of every part of the flat observation, in order."""
+  """Returns (name, size) of every part of the flat observation, in order.
+
+  Args:
+    latent_dim: n_m.
+    privileged: with the critic's terms.
+    extra: names of the terms beyond the paper's.
+    robot: the mini biped by default.
+  """
+  robot = robot_lib.find(robot)
+  counts = {
+    Per.LATENT: latent_dim,
+    Per.JOINT: robot.num_joints,
+    Per.FOOT: robot.num_feet,
+  }
   return tuple(
-    (term.name, latent_dim if term.size is None else term.size)
+    (term.name, counts[term.size] if isinstance(term.size, Per) else term.size)
     for term in terms(privileged, extra)
   )
 
 
 def size(
-  latent_dim: int, privileged: bool = False, extra: Iterable[str] = ()
+  latent_dim: int,
+  privileged: bool = False,
+  extra: Iterable[str] = (),
+  robot: robot_lib.Robot | None = None,
 ) -> int:
-  """Returns the length D of the flat observation."""
-  return sum(length for _, length in layout(latent_dim, privileged, extra))
+  """Returns the length D of the flat observation; see `layout`."""
+  parts = layout(latent_dim, privileged, extra, robot)
+  return sum(length for _, length in parts)
 
 
 def part(
@@ -324,10 +347,11 @@ def part(
   latent_dim: int,
   privileged: bool = True,
   extra: Iterable[str] = (),
+  robot: robot_lib.Robot | None = None,
 ) -> slice:
   """Returns the place of a part in flat observations; see `layout`."""
   start = 0
-  for other, length in layout(latent_dim, privileged, extra):
+  for other, length in layout(latent_dim, privileged, extra, robot):
     if other == name:
       return slice(start, start + length)
     start += length
@@ -337,15 +361,22 @@ def part(
 class SensorErrors:
   """Errors of the policy's observations."""
 
-  def __init__(self, latent_dim: int, extra: Iterable[str] = ()):
+  def __init__(
+    self,
+    latent_dim: int,
+    extra: Iterable[str] = (),
+    robot: robot_lib.Robot | None = None,
+  ):
     """Declares the errors of the terms.
 
     Args:
       latent_dim: n_m.
       extra: names of the terms beyond the paper's.
+      robot: that is observed; the mini biped by default.
     """
     chosen = tuple(extra)
-    lengths = [length for _, length in layout(latent_dim, extra=chosen)]
+    parts = layout(latent_dim, extra=chosen, robot=robot)
+    lengths = [length for _, length in parts]
     by_entry = lambda values: np.repeat(values, lengths)
     self.noise = by_entry([term.noise for term in terms(extra=chosen)])
     self._dropouts = by_entry([term.dropouts for term in terms(extra=chosen)])
@@ -374,7 +405,10 @@ def with_errors(observed: np.ndarray, errors: np.ndarray) -> np.ndarray:
 
 
 def mirror(
-  latent_dim: int, privileged: bool = False, extra: Iterable[str] = ()
+  latent_dim: int,
+  privileged: bool = False,
+  extra: Iterable[str] = (),
+  robot: robot_lib.Robot | None = None,
 ) -> tuple[np.ndarray, np.ndarray, tuple[int, ...]]:
   """Returns the left-right mirror image x'[i] = signs[i] * x[order[i]].
 
@@ -382,20 +416,28 @@ def mirror(
     latent_dim: n_m.
     privileged: with the critic's terms.
     extra: names of the terms beyond the paper's.
+    robot: the mini biped by default.
 
   Returns:
     The order [D] and the signs, float32 [D], of flat observations, and the
     start indices of the latents, which are mirrored by their modes.
   """
+  robot = robot_lib.find(robot)
+  body = robot.derived.mirror
   orders, signs, latents, start = [], [], [], 0
   for term, (_, length) in zip(
     terms(privileged, extra),
-    layout(latent_dim, privileged, extra),
+    layout(latent_dim, privileged, extra, robot),
     strict=True,
   ):
-    orders.append(start + np.asarray(term.order or range(length)))
-    signs.append(np.array(term.signs or (1,) * length, dtype=np.float32))
-    latents += [start] if term.size is None else []
+    order, sign = tuple(range(length)), term.signs or (1,) * length
+    if term.size is Per.JOINT:
+      order, sign = body.joint_order, body.joint_signs
+    elif term.size is Per.FOOT:
+      order = body.foot_order
+    orders.append(start + np.asarray(order))
+    signs.append(np.array(sign, dtype=np.float32))
+    latents += [start] if term.size is Per.LATENT else []
     start += length
   return np.concatenate(orders), np.concatenate(signs), tuple(latents)
 

@@ -4,7 +4,8 @@ A policy trained on level ground, with blocks exactly where the references have
 them, trips over everything else. So in a training some commands meet an
 obstacle that their mode can master: a gap under its flight, a block of another
 height or at another distance, a low ledge ahead of a gait. The policy does not
-observe the obstacle; it learns to be robust.
+observe the obstacle; it learns to be robust. Lengths below are those of the
+mini biped.
 """
 
 from typing import NamedTuple
@@ -50,18 +51,26 @@ class Obstacles(NamedTuple):
 class ObstacleSource:
   """Draws obstacles that suit the modes of a set."""
 
-  def __init__(self, mode_set: mode_set_lib.ModeSet):
-    """Derives the obstacles that each mode of `mode_set` can master."""
+  def __init__(self, mode_set: mode_set_lib.ModeSet, size: float = 1.0):
+    """Derives the obstacles that each mode of `mode_set` can master.
+
+    Args:
+      mode_set: the modes.
+      size: of the robot, in those of the mini biped.
+    """
+    self._size = size
     motions, bank = mode_set.motions, mode_set.bank
     ledges = [motion.ledge for motion in motions]
     self._climbing = np.array([ledge is not None for ledge in ledges])
     self._rises = np.array([ledge.height if ledge else 0.0 for ledge in ledges])
     self._lengths = bank.displacements[:, 0]
-    self._forward = self._lengths > _FORWARD
+    self._forward = self._lengths > _FORWARD * size
     flights = np.array([_flight(motion) for motion in motions])
     self._flights = flights.mean(axis=1)
     widest = _GAP_OF_FLIGHT * (flights[:, 1] - flights[:, 0])
-    self._widest = np.clip(np.nan_to_num(widest), *_GAP_WIDTH)
+    self._widest = np.clip(
+      np.nan_to_num(widest), _GAP_WIDTH[0] * size, _GAP_WIDTH[1] * size
+    )
 
   def draw(
     self,
@@ -76,25 +85,26 @@ class ObstacleSource:
       ahead: distances of the references from their anchors, metres, [N].
       random_state: source of sizes and places.
     """
-    count = len(modes)
+    count, size = len(modes), self._size
     uniform = lambda bounds: random_state.uniform(bounds[0], bounds[1], count)
+    metres = lambda bounds: size * uniform(bounds)
     gait = Obstacles(
-      ahead + uniform(_LEDGE_DISTANCE), uniform(_LEDGE_RISE), np.zeros(count)
+      ahead + metres(_LEDGE_DISTANCE), metres(_LEDGE_RISE), np.zeros(count)
     )
-    width = uniform((_GAP_WIDTH[0], self._widest[modes]))
+    width = uniform((_GAP_WIDTH[0] * size, self._widest[modes]))
     cycle = np.maximum(random_state.randint(2, size=count), ahead > 0)
     middle = self._flights[modes] + cycle * self._lengths[modes]
     level = random_state.uniform(size=count) < _LEVEL_SHARE
     flight = Obstacles(
-      middle + width / 2 + uniform(_GAP_SHIFT),
-      np.where(level, 0.0, uniform(_LANDING_RISE)),
+      middle + width / 2 + metres(_GAP_SHIFT),
+      np.where(level, 0.0, metres(_LANDING_RISE)),
       width,
     )
-    edge, share = uniform(_BLOCK_EDGE), uniform(_BLOCK_SHARE)
+    edge, share = metres(_BLOCK_EDGE), uniform(_BLOCK_SHARE)
     block = Obstacles(
       edge,
       share * self._rises[modes],
-      np.clip(uniform(_BLOCK_GAP), 0.0, edge - _FOOTHOLD),
+      np.clip(metres(_BLOCK_GAP), 0.0, edge - _FOOTHOLD * size),
     )
     flying = self._forward[modes] & np.isfinite(self._flights[modes])
     walking = self._forward[modes] & ~flying

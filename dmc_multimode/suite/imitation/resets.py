@@ -1,16 +1,20 @@
-"""The initial state of a robot: on its reference, with noise. No engine."""
+"""The initial state of a robot: on its reference, with noise. No engine.
+
+The legs of the mini biped are where its gait has them, by its kinematics. Any
+other robot begins in its standing pose.
+"""
 
 import numpy as np
 
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.suite.imitation import commands
 from dmc_multimode.suite.imitation import config as task_config
-from dmc_multimode.suite.imitation import observations
 from dmc_multimode.utils import constants
 from dmc_multimode.walkers import kinematics
 
 _SLOWEST_START = 0.5  # Share of the reference's velocity.
-_FOOT_REACH = 0.12  # Metres ahead of and behind the trunk where feet may be.
+# Metres ahead of and behind the trunk where feet may be, of the mini biped.
+_FOOT_REACH = 0.12
 
 
 def initial_state(
@@ -33,16 +37,60 @@ def initial_state(
     random_state: source of the noise.
 
   Returns:
-    Initial qpos [N, 17] and qvel [N, 16].
+    Initial qpos [N, 7 + J] and qvel [N, 6 + J].
   """
-  count, joints = len(ids), observations.NUM_JOINTS
+  robot, count = config.robot, len(ids)
   position, orientation, velocity = tracker.start_pose(ids)
   position[:, 2] += lift_of_ground(tracker, terrain, position[:, 0], ids)
   # Some robots start slower than the reference: they practise flights that fall
   # short, which follow an imperfect take-off.
   pace = random_state.uniform(_SLOWEST_START, 1.0, size=count)
   velocity *= (pace * on_reference)[:, None]
-  clear = terrain_lib.clearance_height(terrain, position[:, 0], _FOOT_REACH)
+  reach = _FOOT_REACH * robot.size
+  clear = terrain_lib.clearance_height(terrain, position[:, 0], reach)
+  if robot.is_mini_biped:
+    angles, rates, sway = _mini_biped_legs(
+      tracker, ids, position, velocity, clear, on_reference
+    )
+    velocity[:, 1] += pace * sway
+  else:
+    position[:, 2] = np.maximum(position[:, 2], clear + robot.stand_height)
+    angles = np.tile(robot.derived.pose, (count, 1))
+    rates = np.zeros_like(angles)
+  tilt = config.tilt_noise * random_state.standard_normal((count, 2))
+  angles += config.joint_noise * random_state.standard_normal(angles.shape)
+  qpos = np.concatenate([position, _tilted(orientation, tilt), angles], axis=1)
+  qvel = config.velocity_noise * random_state.standard_normal(
+    (count, 6 + robot.num_joints)
+  )
+  qvel[:, :3] += velocity
+  qvel[:, 6:] += rates
+  return qpos, qvel
+
+
+def _mini_biped_legs(
+  tracker: commands.ModeTracker,
+  ids: np.ndarray,
+  position: np.ndarray,
+  velocity: np.ndarray,
+  clear: np.ndarray,
+  on_reference: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+  """Puts the legs of mini bipeds where their modes have them.
+
+  Args:
+    tracker: of all worlds, which has just been reset.
+    ids: worlds, [N].
+    position: of the trunks, world metres, [N, 3]; lifted in place to where the
+      legs have room.
+    velocity: of the trunks, m/s, [N, 3].
+    clear: height of the highest ground under the feet, metres, [N].
+    on_reference: whether each robot has the reference's velocity, [N].
+
+  Returns:
+    Joint angles, radians, and rates, rad/s, [N, 10] each, and the lateral
+    velocity of the trunk, m/s, [N].
+  """
   airborne = tracker.airborne(ids)
   # In flight the legs are drawn up; even so they must clear a block below.
   lowest = np.where(airborne, constants.STAND_HEIGHT, kinematics.LOWEST)
@@ -54,16 +102,7 @@ def initial_state(
   angles, rates = _leg_joints(
     velocity[:, 0], height, climb, swinging, time, length
   )
-  velocity[:, 1] += pace * kinematics.sway(swinging, time, length)
-  tilt = config.tilt_noise * random_state.standard_normal((count, 2))
-  angles += config.joint_noise * random_state.standard_normal((count, joints))
-  qpos = np.concatenate([position, _tilted(orientation, tilt), angles], axis=1)
-  qvel = config.velocity_noise * random_state.standard_normal(
-    (count, 6 + joints)
-  )
-  qvel[:, :3] += velocity
-  qvel[:, 6:] += rates
-  return qpos, qvel
+  return angles, rates, kinematics.sway(swinging, time, length)
 
 
 def lift_of_ground(

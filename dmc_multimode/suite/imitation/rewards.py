@@ -20,12 +20,12 @@ class RobotState(NamedTuple):
 
   Attributes:
     qpos: free joint (world position in metres, quaternion), then the joints in
-      radians, [B, 17].
+      radians, [B, 7 + J].
     qvel: free joint (world linear velocity in m/s, angular velocity in the
-      trunk frame in rad/s), then the joints in rad/s, [B, 16].
+      trunk frame in rad/s), then the joints in rad/s, [B, 6 + J].
     orientation: of the trunk relative to the commanded heading, unit
       quaternions (w, x, y, z), [B, 4].
-    contact: feet on the ground (left, right), 0 or 1, [B, 2].
+    contact: feet on the ground, in the robot's order, 0 or 1, [B, F].
   """
 
   qpos: np.ndarray

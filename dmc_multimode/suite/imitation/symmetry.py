@@ -1,8 +1,8 @@
 """The left-right mirror image of observations, actions and commands.
 
-Equal joint angles of the two legs are mirror images of each other (the axes of
-the right leg are those of the left leg mirrored), so that joints and actions
-are merely exchanged. A mode whose reference looks the same half a cycle later
+Joints and actions are exchanged as the robot says (`walkers.mirroring`): of the
+mini biped without a change of sign, for the axes of its right leg are those of
+the left one mirrored. A mode whose reference looks the same half a cycle later
 is mirrored half a cycle out of phase, so that its feet alternate.
 """
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.suite.imitation import observations
-from dmc_multimode.walkers import mini_biped
+from dmc_multimode.walkers import robot as robot_lib
 
 
 class MirrorImage(NamedTuple):
@@ -40,6 +40,7 @@ def mirror_image(
   mode_set: mode_set_lib.ModeSet,
   with_privileged: bool = False,
   extra: Iterable[str] = (),
+  robot: robot_lib.Robot | None = None,
 ) -> MirrorImage:
   """Returns the mirror image for a mode set.
 
@@ -47,6 +48,7 @@ def mirror_image(
     mode_set: the modes.
     with_privileged: whether observations end with the privileged parts.
     extra: names of the observations beyond the paper's.
+    robot: the mini biped by default.
 
   Raises:
     ValueError: the set holds a mode but not its mirror image.
@@ -58,16 +60,16 @@ def mirror_image(
         f'{motion.name} is mirrored by {motion.mirror!r}, which is not in the '
         'mode set: add it or train without symmetry.'
       )
-  legs = len(mini_biped.LEG_JOINTS)
-  exchanged = np.roll(np.arange(2 * legs), legs)
+  robot = robot_lib.find(robot)
+  body = robot.derived.mirror
   order, signs, commands = observations.mirror(
-    mode_set.latent_dim, with_privileged, extra
+    mode_set.latent_dim, with_privileged, extra, robot
   )
   return MirrorImage(
     order,
     signs,
-    exchanged,
-    np.ones(len(exchanged), dtype=np.float32),
+    np.array(body.joint_order),
+    np.array(body.joint_signs, dtype=np.float32),
     np.array([names.index(motion.mirror) for motion in motions]),
     np.array([-1.0 if m.half_cycle_symmetric else 1.0 for m in motions], 'f4'),
     commands,

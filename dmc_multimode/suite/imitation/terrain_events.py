@@ -13,6 +13,7 @@ from dmc_multimode.suite.imitation import commands
 from dmc_multimode.suite.imitation import obstacles
 
 _LEAST_ALONG = 0.5  # Share of the way to a ledge that is along x, at least.
+# Lengths of the mini biped.
 _STRIDE = 0.45  # Metres ahead of the trunk where a foot may stand already.
 _LANDED = 0.2  # Metres past an edge at which both feet are past it.
 
@@ -32,6 +33,7 @@ class TerrainEvents:
     edge_noise: float,
     obstacle_share: float,
     adaptive: bool,
+    size: float = 1.0,
   ):
     """Keeps the terrain and tracker to edit, and the ledges of the modes.
 
@@ -43,11 +45,13 @@ class TerrainEvents:
       obstacle_share: initial share of the commands that meet an obstacle.
       adaptive: puts ledges where commanded modes need them; otherwise the
         terrain stays as it is.
+      size: of the robot, in those of the mini biped.
     """
     self.obstacle_share = obstacle_share
     self._terrain, self._tracker = terrain, tracker
     self._edge_noise, self._adaptive = edge_noise, adaptive
-    self._obstacles = obstacles.ObstacleSource(mode_set)
+    self._obstacles = obstacles.ObstacleSource(mode_set, size)
+    self._stride, self._landed = _STRIDE * size, _LANDED * size
     self._ledges = [motion.ledge for motion in mode_set.motions]
 
   def prepare(
@@ -100,7 +104,7 @@ class TerrainEvents:
     begins = terrain_lib.segment_start(terrain, x)
     has_ledge = begins > terrain.starts[:, 0]
     goes_back = self._tracker.bank.displacements[modes, 0] < 0
-    mine = goes_back & has_ledge & (x - begins > _LANDED)
+    mine = goes_back & has_ledge & (x - begins > self._landed)
     self._terrain.write(
       ids[mine], terrain_lib.levelled_behind(terrain.rows(mine), x[mine])
     )
@@ -156,7 +160,7 @@ class TerrainEvents:
     edge, rise, _ = terrain_lib.next_segment(terrain.rows(ids), x)
     made = np.array([ledge is not None for ledge in self._ledges])[modes]
     # A ledge on which a foot may stand already must not vanish under it.
-    free = made | (rise == 0) | (edge - x > _STRIDE)
+    free = made | (rise == 0) | (edge - x > self._stride)
     ids, modes, x, made = ids[free], modes[free], x[free], made[free]
     local = self._tracker.bank.sample(modes, self._tracker.state.phase[ids])
     drawn = self._obstacles.draw(modes, local.position[:, 0], random_state)

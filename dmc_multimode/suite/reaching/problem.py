@@ -194,8 +194,17 @@ def in_knots(config: ReachingConfig, knot_duration: float) -> ReachingConfig:
 def task_config(
   policy: Policy, reaching: ReachingConfig
 ) -> imitation_config.ImitationConfig:
-  """Returns the task with tracking limits off: only falls terminate."""
+  """Returns the task with tracking limits off: only falls terminate.
+
+  Raises:
+    ValueError: the robot is another than the mini biped, for which tracks,
+      goals and knots are made.
+  """
   task = policy.config
+  if not task.robot.is_mini_biped:
+    raise ValueError(
+      f'Tracks are crossed by the mini biped alone, not by {task.robot}.'
+    )
   duration = reaching.knots * reaching.knot_duration
   return imitation_config.evaluated(
     task,

@@ -62,11 +62,11 @@ class Observer:
     """Observes the worlds of `core`, in which `policy` moves the robots."""
     self._core, self._errors = core, errors
     extra = policy.config.extra_observations
-    latent_dim = policy.mode_set.latent_dim
+    latent_dim, robot = policy.mode_set.latent_dim, policy.config.robot
     self._num_modes = len(policy.mode_set)
     self._places = {
-      name: observations.part(name, latent_dim, False, extra)
-      for name, _ in observations.layout(latent_dim, extra=extra)
+      name: observations.part(name, latent_dim, False, extra, robot)
+      for name, _ in observations.layout(latent_dim, extra=extra, robot=robot)
       if name != 'command'
     }
     self.layout: Layout = (

@@ -17,6 +17,7 @@ _QUIET: dict[str, Any] = {
   'overhang': np.zeros((1, 2)),
   'sole_velocity': np.zeros((1, 2)),
   'width': np.array([0.18]),
+  'stance_width': 0.18,
   'steady': np.array([False]),
   'grounded': np.array([True]),
   'straight': np.array([False]),

@@ -1,0 +1,115 @@
+r"""Checks a robot's declaration: compiles, mirrors, stands and drops it.
+
+  python -m dmc_multimode.bin.check_robot --robot=my_robot.yaml
+
+prints all that follows from the declaration and its model, and ends with exit
+code 2 and one line if something is wrong. No policy balances it here: two feet
+stand for a moment, and may fall when they are dropped. See docs/ADD_A_ROBOT.md.
+"""
+
+from typing import Iterator, Sequence, TYPE_CHECKING
+
+from dmc_multimode.bin import app
+from dmc_multimode.bin import flags as config_flags
+
+if TYPE_CHECKING:
+  from dmc_multimode.walkers import robot as robot_lib
+  from dmc_multimode.walkers import trial
+
+_ROBOT = config_flags.define_path(
+  'robot', None, 'YAML or JSON file of the robot.', required=True
+)
+
+
+def rows(robot: 'robot_lib.Robot') -> Iterator[tuple[str, str]]:
+  """Yields names and values of a robot, as text with units."""
+  derived = robot.derived
+  yield 'robot', f'{robot.name}, hash {robot.digest[:12]}'
+  yield 'mass', f'{derived.mass:.3g} kg'
+  yield 'standing height', f'{derived.stand_height:g} m ({robot.size:.3g})'
+  yield 'leg length', f'{derived.leg_length:g} m'
+  yield 'stance width', f'{derived.stance_width:g} m'
+  yield 'feet', ', '.join(robot.declaration.feet)
+  yield (
+    'soles below the sites',
+    ', '.join(f'{depth:g}' for depth in derived.sole_depth) + ' m',
+  )
+  yield 'control period', f'{robot.declaration.control_timestep:g} s'
+
+
+def joint_rows(robot: 'robot_lib.Robot') -> Iterator[tuple[str, ...]]:
+  """Yields a head, and a row for each joint, of text; radians."""
+  derived, mirror = robot.derived, robot.derived.mirror
+  yield 'joint', 'range', 'pose', 'action', 'standing', 'scale', 'mirror'
+  span = lambda bounds: f'{bounds[0]:+.2f} {bounds[1]:+.2f}'
+  for i, name in enumerate(robot.joints):
+    sign = '-' if mirror.joint_signs[i] < 0 else ''
+    yield (
+      name,
+      span(derived.joint_limits[:, i]),
+      f'{derived.pose[i]:+.2f}',
+      span(derived.action_bounds[:, i]),
+      f'{derived.standing_action[i]:+.2f}',
+      f'{derived.action_scale[i]:.2f}',
+      sign + robot.joints[mirror.joint_order[i]],
+    )
+
+
+def _show(table: Sequence[Sequence[str]]) -> None:
+  """Prints rows in columns."""
+  widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+  for row in table:
+    cells = zip(row, widths, strict=True)
+    print('  '.join(cell.ljust(width) for cell, width in cells).rstrip())
+
+
+def _outcome(found: 'trial.Trial') -> str:
+  """Returns the outcome of a trial in one line."""
+  return (
+    f'{"stands" if found.stands else "falls"}: {1000 * found.sunk:.0f} mm '
+    f'lower, tilted by {found.tilt:.2f} rad, {sum(found.feet)} of '
+    f'{len(found.feet)} feet down, at most {found.load:.1f} times its weight'
+  )
+
+
+def main(argv: Sequence[str]) -> None:
+  """Checks the robot; `argv` holds no flags."""
+  del argv
+  if not _ROBOT.value:
+    raise ValueError('--robot must name a file.')
+  # Late, as these import dm_control.
+  from dmc_multimode.walkers import robot as robot_lib
+  from dmc_multimode.walkers import trial
+
+  robot = robot_lib.load(_ROBOT.value)
+  _show(list(rows(robot)))
+  print()
+  _show(list(joint_rows(robot)))
+  print()
+  height = trial.DROP * robot.stand_height
+  standing = trial.STANDING[robot.num_feet]
+  stood = trial.drop(robot, seconds=standing)
+  dropped = trial.drop(robot, height, trial.FALLING)
+  _show(
+    [
+      (f'stood up for {standing:g} s', _outcome(stood)),
+      (
+        f'dropped by {1000 * height:.0f} mm, {trial.FALLING:g} s',
+        _outcome(dropped),
+      ),
+    ]
+  )
+  if not stood.stands:
+    raise ValueError(
+      f'{_ROBOT.value}: the robot cannot stand: stiffen its servos, or correct '
+      'its pose.'
+    )
+
+
+def cli() -> None:
+  """Runs as a console script."""
+  app.run(main)
+
+
+if __name__ == '__main__':
+  cli()

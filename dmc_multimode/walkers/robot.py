@@ -1,0 +1,313 @@
+"""A robot is a declaration: a file that names a model and what it is to a task.
+
+    name: mini_biped
+    model: mini_biped.xml          # MJCF, in the folder of this file
+    trunk: trunk                   # the body that carries the robot
+    feet: [left_foot, right_foot]  # two or four sites or geoms
+    joints: [left_hip, left_knee, right_hip, right_knee]  # as actions are
+    pose: {left_knee: 0.4, right_knee: 0.4}  # radians; 0 for the others
+    servos: {stiffness: 30, damping: 0.5, limit: 30}  # or the model's own
+    armature: 0.003                # kg m^2; or the model's own
+    control_timestep: 0.03         # seconds
+
+Servos apply clip(stiffness (a - q) - damping dq/dt, +-limit) at every physics
+step; each of the three may be a table by joint. All else follows from the model
+(`derivation`): heights, mass, bounds of actions, the action that stands, the
+exchange of left and right.
+
+In the standing pose the robot faces +x with its trunk upright, and left and
+right are each other's mirror image. Lengths of the task are those of the mini
+biped, whose trunk stands 0.5 m high, and grow and shrink with a robot's `size`.
+"""
+
+from __future__ import annotations
+
+import base64
+import functools
+import hashlib
+import json
+import os
+import pathlib
+import re
+from typing import Annotated, Any, Mapping, TYPE_CHECKING
+
+import pydantic
+
+from dmc_multimode.utils import config
+from dmc_multimode.utils import constants
+from dmc_multimode.utils import files
+from dmc_multimode.utils import resources
+from dmc_multimode.utils import yaml_lines
+from dmc_multimode.walkers import robot_files
+
+if TYPE_CHECKING:
+  from dmc_multimode.walkers import derivation
+
+MAX_BYTES = 100_000  # Of a declaration.
+MAX_JOINTS = 64
+_DIGEST = 12  # Characters of a hash that are shown.
+_NAME = re.compile(r'[A-Za-z][A-Za-z0-9_-]{0,63}')
+_Name = Annotated[str, pydantic.Field(min_length=1, max_length=100)]
+_Angle = Annotated[float, pydantic.Field(ge=-7.0, le=7.0)]
+_Gain = Annotated[float, pydantic.Field(gt=0, le=1e5)]
+_Damping = Annotated[float, pydantic.Field(ge=0, le=1e5)]
+
+
+@config.dataclass
+class Servos:
+  """Gains of the joints' servos: one for all, or a table by joint.
+
+  Attributes:
+    stiffness: Nm/rad (N/m of a slide).
+    damping: Nm s/rad.
+    limit: of the torque, Nm.
+  """
+
+  stiffness: _Gain | dict[str, _Gain]
+  damping: _Damping | dict[str, _Damping]
+  limit: _Gain | dict[str, _Gain]
+
+
+@config.dataclass
+class Declaration:
+  """Content of a robot's file; see the module's docstring.
+
+  Attributes:
+    name: of the robot.
+    model: MJCF file, in the folder of the declaration.
+    trunk: body that carries the robot, the only one of the world.
+    feet: sites or geoms (left, right), or (front left, front right, hind left,
+      hind right).
+    joints: all joints of the model, in its order, which is that of the actions.
+    pose: in which the robot stands, radians (metres of slides) by joint; 0 for
+      those that it leaves out.
+    servos: of the joints; None for the model's own position actuators.
+    armature: of each joint, kg m^2; None for the model's own.
+    control_timestep: period of a policy, seconds.
+  """
+
+  name: _Name
+  model: _Name
+  trunk: _Name
+  feet: tuple[_Name, ...]
+  joints: Annotated[
+    tuple[_Name, ...], pydantic.Field(min_length=1, max_length=MAX_JOINTS)
+  ]
+  pose: dict[str, _Angle] = pydantic.Field(default_factory=dict)
+  servos: Servos | None = None
+  armature: Annotated[float, pydantic.Field(ge=0, le=100.0)] | None = None
+  control_timestep: Annotated[float, pydantic.Field(ge=1e-3, le=0.2)] = (
+    constants.CONTROL_TIMESTEP
+  )
+
+  def __post_init__(self) -> None:
+    if not _NAME.fullmatch(self.name):
+      raise ValueError(
+        'name: at most 64 letters, digits, - and _, a letter first'
+      )
+    if len(self.feet) not in (2, 4):
+      raise ValueError(f'feet: two or four, got {len(self.feet)}')
+    for field in ('feet', 'joints'):
+      names = getattr(self, field)
+      if len(set(names)) < len(names):
+        raise ValueError(f'{field}: a name is given twice')
+    self._check_joints('pose', self.pose, complete=False)
+    for field in ('stiffness', 'damping', 'limit') if self.servos else ():
+      value = getattr(self.servos, field)
+      if isinstance(value, dict):
+        self._check_joints(f'servos.{field}', value, complete=True)
+
+  def _check_joints(
+    self, field: str, table: Mapping[str, float], complete: bool
+  ) -> None:
+    """Raises ValueError for unknown joints in a table, or missing ones."""
+    for name in table:
+      if name not in self.joints:
+        raise ValueError(f'{field}: {name!r:.80} is none of the joints')
+    for name in self.joints if complete else ():
+      if name not in table:
+        raise ValueError(f'{field}: {name!r:.80} is missing')
+
+
+class Robot:
+  """A declared robot, with its model.
+
+  Two robots are equal if their declarations and models are.
+
+  Attributes:
+    declaration: what its file says.
+    model: MJCF and assets.
+    digest: hash of declaration and model, hexadecimal.
+  """
+
+  def __init__(self, declaration: Declaration, model: robot_files.Model):
+    """Takes what was read; compiles nothing."""
+    self.declaration, self.model = declaration, model
+    self.digest = _digest(declaration, model)
+
+  @property
+  def name(self) -> str:
+    """Name of the robot."""
+    return self.declaration.name
+
+  @property
+  def joints(self) -> tuple[str, ...]:
+    """Names of the joints, in the order of actions, J of them."""
+    return self.declaration.joints
+
+  @property
+  def num_joints(self) -> int:
+    """Number J of the joints, and of an action's numbers."""
+    return len(self.declaration.joints)
+
+  @property
+  def num_feet(self) -> int:
+    """Number F of the feet."""
+    return len(self.declaration.feet)
+
+  @property
+  def is_mini_biped(self) -> bool:
+    """True for the robot of this package, whose kinematics are known."""
+    return self == mini_biped()
+
+  @functools.cached_property
+  def derived(self) -> derivation.Derived:
+    """Numbers that follow from the model.
+
+    Raises:
+      ValueError: in one line, the model and the declaration do not fit.
+    """
+    from dmc_multimode.walkers import derivation  # Late: it compiles models.
+
+    try:
+      return derivation.derive(self)
+    except ValueError as error:
+      raise ValueError(f'robot {self.name}: {error}') from error
+
+  @property
+  def stand_height(self) -> float:
+    """Metres from the feet to the trunk's origin in the standing pose."""
+    return self.derived.stand_height
+
+  @property
+  def size(self) -> float:
+    """Height in the standing pose, in those of the mini biped."""
+    return self.stand_height / constants.STAND_HEIGHT
+
+  def to_dict(self) -> dict[str, Any]:
+    """Returns declaration, model and hash as JSON values."""
+    return {
+      'declaration': config.to_dict(self.declaration),
+      'model': self.model.xml,
+      'assets': {
+        name: base64.b64encode(content).decode()
+        for name, content in self.model.assets.items()
+      },
+      'digest': self.digest,
+    }
+
+  def __eq__(self, other: object) -> bool:
+    return isinstance(other, Robot) and self.digest == other.digest
+
+  def __hash__(self) -> int:
+    return hash(self.digest)
+
+  def __repr__(self) -> str:
+    return f'{self.name} ({self.digest[:_DIGEST]})'
+
+  def __deepcopy__(self, memo: dict[int, Any]) -> Robot:
+    return self  # It never changes.
+
+
+def load(path: str | os.PathLike[str]) -> Robot:
+  """Reads a robot's YAML or JSON file, with its model, and checks both.
+
+  The model's files are read from the folder of the declaration alone.
+
+  Raises:
+    OSError: the file is missing or cannot be read.
+    ValueError: in one line that begins with the file, what is wrong.
+  """
+  name = files.expand(path)
+  content = files.read_bounded(name, MAX_BYTES)
+  try:
+    robot = _parse(content, pathlib.Path(name).absolute())
+    # Errors of the model are found here, and not hours later.
+    assert robot.derived
+  except yaml_lines.LineError as error:
+    raise ValueError(f'{name}:{error.line}: {error}') from error
+  except ValueError as error:
+    reason = str(error).rstrip('.').removeprefix('robot ')
+    raise ValueError(f'{name}: {reason}.') from error
+  return robot
+
+
+def from_dict(values: Mapping[str, Any]) -> Robot:
+  """Returns the robot of a `to_dict`.
+
+  Raises:
+    ValueError: the values are those of no robot, or their hash is another.
+  """
+  try:
+    declaration = config.build(Declaration, values['declaration'])
+    model = robot_files.Model(
+      str(values['model']),
+      {
+        str(name): base64.b64decode(content, validate=True)
+        for name, content in values['assets'].items()
+      },
+    )
+    robot_files.check(model)
+    robot = Robot(declaration, model)
+    if robot.digest != values['digest']:
+      raise ValueError('its declaration or model is not that of its hash')
+  except (AttributeError, KeyError, TypeError, ValueError) as error:
+    lacks = isinstance(error, KeyError)
+    reason = f'it lacks {error}' if lacks else str(error).rstrip('.')
+    raise ValueError(f'not a robot: {reason}.') from error
+  return robot
+
+
+@functools.cache
+def mini_biped() -> Robot:
+  """Returns the robot of `xml/mini_biped.yaml`."""
+  path = resources.path('xml', 'mini_biped.yaml')
+  return _parse(path.read_bytes(), path)
+
+
+def find(robot: Robot | str | os.PathLike[str] | None) -> Robot:
+  """Returns a robot, that of a file, or the mini biped for None."""
+  if robot is None:
+    return mini_biped()
+  return robot if isinstance(robot, Robot) else load(robot)
+
+
+def _parse(content: bytes, path: pathlib.Path) -> Robot:
+  """Returns the robot of a declaration; compiles nothing."""
+  try:
+    text = content.decode('utf-8-sig')
+  except UnicodeDecodeError:
+    raise ValueError('it is not text in UTF-8') from None
+  values, _ = yaml_lines.parse(text, path.suffix.lower() == '.json')
+  declaration = config.build(Declaration, values)
+  model = robot_files.read(path.parent, declaration.model, declaration.trunk)
+  return Robot(declaration, model)
+
+
+def _digest(declaration: Declaration, model: robot_files.Model) -> str:
+  """Returns the hash of a robot, hexadecimal.
+
+  Fields that a declaration leaves out are none of it, so that it stays what it
+  is when later versions have more.
+  """
+  declared = {
+    field: value
+    for field, value in config.to_dict(declaration).items()
+    if value is not None and value != {}
+  }
+  assets = {
+    name: hashlib.sha256(content).hexdigest()
+    for name, content in model.assets.items()
+  }
+  text = json.dumps([declared, model.xml, assets], sort_keys=True)
+  return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,259 @@
+"""The files of a robot: read from one folder, bounded, and made one model.
+
+A user's model is data. It is read from the folder of its declaration alone, no
+larger than a robot has to be; whatever makes a small file a large model, or
+loads code, is refused. What belongs to a scene and not to a robot (options,
+keyframes, floors, lights and cameras of the world) is left out: arenas and
+tasks have their own.
+"""
+
+import pathlib
+import re
+from typing import Iterator, NamedTuple
+from xml.etree import ElementTree
+
+from dmc_multimode.utils import files
+
+MAX_MODEL_BYTES = 2_000_000  # Of one MJCF file.
+MAX_ASSET_BYTES = 16 << 20  # Of all meshes and textures together.
+_MAX_FILES = 64
+_MAX_ELEMENTS, _MAX_DEPTH = 5000, 100  # Of the MJCF, and its nesting.
+_MAX_TEXTURE = 4096  # Pixels: of the sides of a texture that MuJoCo draws.
+_ASSETS = ('.stl', '.obj', '.msh', '.png')
+_KEPT = (
+  'compiler',
+  'default',
+  'asset',
+  'worldbody',
+  'contact',
+  'equality',
+  'tendon',
+  'actuator',
+  'sensor',
+)
+# Of the world in the file, but not of the robot.
+_SCENERY = ('geom', 'site', 'light', 'camera')
+_NOT_FINITE = re.compile(r'[-+]?(nan|inf|infinity)', re.IGNORECASE)
+_REFUSED = {
+  'attach': 'names another model',
+  'model': 'names another model',
+  'composite': 'makes many bodies of one',
+  'flexcomp': 'makes many bodies of one',
+  'replicate': 'makes many bodies of one',
+  'extension': 'loads plugins',
+  'plugin': 'loads plugins',
+  'hfield': 'is ground, which arenas have',
+  'skin': 'is for the eye alone',
+}
+_FOLDERS = {  # Attributes of the compiler: the folders of assets.
+  'mesh': ('meshdir', 'assetdir'),
+  'texture': ('texturedir', 'assetdir'),
+}
+_DIRECTORIES = ('meshdir', 'texturedir', 'assetdir', 'strippath')
+_FILES = ('file', *(f'file{side}' for side in ('right', 'left', 'up', 'down')))
+_FILES += ('filefront', 'fileback')
+
+
+class Model(NamedTuple):
+  """A robot's model without files.
+
+  Attributes:
+    xml: MJCF of the robot alone, without includes.
+    assets: contents of its meshes and textures, by the names in the MJCF.
+  """
+
+  xml: str
+  assets: dict[str, bytes]
+
+
+def read(folder: pathlib.Path, name: str, trunk: str) -> Model:
+  """Reads a robot's model.
+
+  Args:
+    folder: that may be read.
+    name: of the MJCF file in it.
+    trunk: name of the body that carries the robot.
+
+  Raises:
+    ValueError: in one line, a file is missing, outside the folder, too large,
+      or not a robot's model.
+  """
+  reader = _Reader(folder)
+  root = reader.parse(name)
+  reader.include(root)
+  _check_elements(root)
+  assets = reader.read_assets(root)
+  for section in [part for part in root if part.tag not in _KEPT]:
+    root.remove(section)
+  _leave_scenery(root, trunk)
+  return Model(ElementTree.tostring(root, encoding='unicode'), assets)
+
+
+def check(model: Model) -> None:
+  """Checks a model that was not read here, such as that of a policy's file.
+
+  Raises:
+    ValueError: in one line, it is none that `read` returns.
+  """
+  if len(model.xml) > 4 * MAX_MODEL_BYTES:
+    raise ValueError('the model is too large.')
+  if sum(map(len, model.assets.values())) > MAX_ASSET_BYTES:
+    raise ValueError('the meshes and textures are too large.')
+  root = _parsed(model.xml, 'the model')
+  _check_elements(root)
+  for element in root.iter():
+    if element.tag == 'include' or set(element.attrib) & {*_DIRECTORIES}:
+      raise ValueError('the model reads other files.')
+  for element, attribute in _files(root):
+    if element.attrib[attribute] not in model.assets:
+      raise ValueError('the model reads other files.')
+
+
+def _parsed(text: str, what: str) -> ElementTree.Element:
+  """Returns the root of an MJCF text; `what` is for the errors."""
+  try:
+    if '<!DOCTYPE' in text or '<!ENTITY' in text:
+      raise ValueError('it declares entities')
+    root = ElementTree.fromstring(text)
+  except (ElementTree.ParseError, ValueError) as error:
+    raise ValueError(f'{what} is not MJCF: {error}.') from None
+  if root.tag not in ('mujoco', 'mujocoinclude'):
+    raise ValueError(f'{what} is not MJCF: <{root.tag}>.')
+  return root
+
+
+class _Reader:
+  """Reads the files of one folder, each once."""
+
+  def __init__(self, folder: pathlib.Path):
+    """Reads nothing yet."""
+    self._folder = folder.resolve()
+    self._seen: set[pathlib.Path] = set()
+
+  def _content(self, name: str, kind: str, limit: int) -> bytes:
+    """Returns a file's content; `kind` is for the errors."""
+    path = (self._folder / name).resolve()
+    if not path.is_relative_to(self._folder):
+      raise ValueError(
+        f'{kind} {name!r:.80} is outside the folder of the robot.'
+      )
+    self._seen.add(path)
+    if len(self._seen) > _MAX_FILES:
+      raise ValueError(f'a robot has at most {_MAX_FILES} files.')
+    try:
+      return files.read_bounded(path, limit)
+    except OSError:
+      raise ValueError(f'{kind} {name!r:.80} cannot be read.') from None
+    except ValueError:
+      raise ValueError(
+        f'{kind} {name!r:.80} is too large: {limit:,} bytes are the most.'
+      ) from None
+
+  def parse(self, name: str) -> ElementTree.Element:
+    """Returns the root of an MJCF file."""
+    content = self._content(name, 'the model', MAX_MODEL_BYTES)
+    try:
+      text = content.decode('utf-8-sig')
+    except UnicodeDecodeError:
+      raise ValueError(f'the model {name!r:.80} is not UTF-8.') from None
+    return _parsed(text, f'the model {name!r:.80}')
+
+  def include(self, root: ElementTree.Element) -> None:
+    """Replaces includes by what they include, in place."""
+    for parent in list(root.iter()):
+      for child in [part for part in parent if part.tag == 'include']:
+        name = child.get('file', '')
+        path = (self._folder / name).resolve()
+        if path in self._seen:
+          raise ValueError(f'the model includes {name!r:.80} twice.')
+        included = self.parse(name)
+        self.include(included)
+        place = list(parent).index(child)
+        parent.remove(child)
+        for offset, part in enumerate(included):
+          parent.insert(place + offset, part)
+
+  def read_assets(self, root: ElementTree.Element) -> dict[str, bytes]:
+    """Reads the files of assets, and renames them in the MJCF."""
+    folders: dict[str, str] = {}
+    for compiler in root.iter('compiler'):
+      for option in _DIRECTORIES:
+        value = compiler.attrib.pop(option, None)
+        if value is not None:
+          folders[option] = value
+    found: dict[str, bytes] = {}
+    rest = MAX_ASSET_BYTES
+    for element, attribute in _files(root):
+      places = _FOLDERS.get(element.tag, ())
+      below = next((folders[place] for place in places if place in folders), '')
+      file = pathlib.PurePosixPath(element.attrib[attribute])
+      if file.suffix.lower() not in _ASSETS:
+        raise ValueError(
+          f'{element.tag} {str(file)!r:.80} is none of {", ".join(_ASSETS)}.'
+        )
+      content = self._content(str(below / file), element.tag, rest)
+      # Named as it was, for MuJoCo names meshes by their files.
+      name = str(file.name)
+      if found.setdefault(name, content) != content:
+        raise ValueError(f'two files are named {name!r:.80}: rename one.')
+      rest = MAX_ASSET_BYTES - sum(map(len, found.values()))
+      element.set(attribute, name)
+    return found
+
+
+def _files(
+  root: ElementTree.Element,
+) -> Iterator[tuple[ElementTree.Element, str]]:
+  """Yields the elements that name files, with the attribute that does."""
+  for element in root.iter():
+    for attribute in _FILES:
+      if attribute in element.attrib:
+        yield element, attribute
+
+
+def _check_elements(root: ElementTree.Element) -> None:
+  """Raises ValueError for what a robot's model may not have."""
+  level, count = [root], 0
+  for _ in range(_MAX_DEPTH):
+    count += len(level)
+    level = [child for element in level for child in element]
+  if level or count > _MAX_ELEMENTS:
+    raise ValueError(
+      f'the model is too large: {_MAX_ELEMENTS} elements, nested '
+      f'{_MAX_DEPTH} deep, are the most.'
+    )
+  for element in root.iter():
+    if element.tag in _REFUSED:
+      raise ValueError(
+        f'the model has <{element.tag}>, which {_REFUSED[element.tag]}.'
+      )
+    for name, value in element.attrib.items():
+      if any(map(_NOT_FINITE.fullmatch, value.split())):
+        raise ValueError(
+          f'<{element.tag}> has {name} {value!r:.40}, which is not finite.'
+        )
+    if element.tag == 'compiler' and 'settotalmass' in element.attrib:
+      raise ValueError(
+        'the compiler has settotalmass, which would change the arena as well.'
+      )
+    if element.tag == 'texture':
+      for side in ('width', 'height'):
+        value = element.get(side, '1')
+        if not value.isdecimal() or not 0 < int(value) <= _MAX_TEXTURE:
+          raise ValueError(
+            f'a texture has {side} {value!r:.20}; {_MAX_TEXTURE} is the most.'
+          )
+
+
+def _leave_scenery(root: ElementTree.Element, trunk: str) -> None:
+  """Leaves out what stands in the world beside the robot."""
+  names = []
+  for world in root.iter('worldbody'):
+    for element in [part for part in world if part.tag in _SCENERY]:
+      world.remove(element)
+    names += [element.get('name', f'<{element.tag}>') for element in world]
+  if names != [trunk]:
+    raise ValueError(
+      f'the only body of the world must be the trunk {trunk!r:.80}; the model '
+      f'has {", ".join(names)[:200] or "none"}.'
+    )
