@@ -55,8 +55,13 @@ _DEPENDENT = {
   'disturbance_fraction': 'disturbances',
   'cost_share': 'costs',
 }
-# Events that are of no interest at 1.
-_WHOLE = ('disturbance_share', 'disturbance_fraction', 'cost_share')
+# Events that are of no interest at their defaults.
+_DEFAULTS = (
+  'push_slack',
+  'disturbance_share',
+  'disturbance_fraction',
+  'cost_share',
+)
 
 
 class Section(NamedTuple):
@@ -278,7 +283,7 @@ def _events(config: events_lib.TrainingEvents) -> Iterator[str]:
     value, other = getattr(config, name), _DEPENDENT.get(name, name)
     if getattr(config, other) == getattr(events_lib.NONE, other):
       continue
-    if name in _WHOLE and value == getattr(events_lib.NONE, name):
+    if name in _DEFAULTS and value == getattr(events_lib.NONE, name):
       continue
     if isinstance(value, disturbances_lib.Disturbances):
       yield f'Drawn for each episode: {", ".join(_disturbances(value))}.'
