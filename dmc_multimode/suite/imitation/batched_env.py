@@ -142,7 +142,6 @@ class BatchedImitation:
     # Step and return at the last command but one, and at the last.
     self._command_steps = np.zeros((num_worlds, 2), dtype=np.int64)
     self._command_returns = np.zeros((num_worlds, 2))
-    self._recovering = np.zeros(num_worlds)  # Seconds that are left.
     self.moving = np.ones(num_worlds, dtype=bool)
     self.steps = 0
     self.assistance = events.TakeoffAssistance(
@@ -366,7 +365,7 @@ class BatchedImitation:
       'contact': self.core.contact,
       'actions': self.core.actions,
       'soles': self._soles,
-      'recovering': self._recovering,
+      'recovering': self.core.recovering,
     }
     if self._noisy:
       fields['sensor_errors'] = self._sensor_errors
@@ -428,15 +427,8 @@ class BatchedImitation:
       config.control_timestep / scheduled.push_interval,
       self._random_state,
     )
-    if scheduled.push_slack:
-      self._recovering -= config.control_timestep
-      self._recovering[ids] = events.RECOVERY
-      self._slacken()
-
-  def _slacken(self) -> None:
-    """Loosens the bound on the distance where a robot was pushed lately."""
-    slack = self.config.events.push_slack
-    self.core.push_slack[:] = slack * (self._recovering > 0)
+    self.core.recovering -= config.control_timestep
+    self.core.recovering[ids] = events.RECOVERY
 
   def _conclude(
     self,
@@ -539,7 +531,7 @@ class BatchedImitation:
     self._disturb(ids)
     self._draw_sensor_errors(ids)
     self._soles[ids] = np.inf
-    self._recovering[ids] = 0.0
+    self.core.recovering[ids] = 0.0
     self._move_boxes(ids)
     self._returns[ids] = 0.0
     self._initial[ids], self._final[ids] = episodes.initial, episodes.final
@@ -663,7 +655,6 @@ class BatchedImitation:
       part.restore(_sub(state, f'{name}/'))
     arrays.restore_generator(self._random_state, _sub(state, 'random/'))
     self._follow_schedules()
-    self._slacken()
     self._move_boxes(np.arange(self.num_worlds))
     self._write_body(np.arange(self.num_worlds))
     return self._observe()

@@ -60,7 +60,8 @@ class ImitationCore:
     actions: last joint targets, the newest first, radians, [B, H, J]; at the
       start of an episode, the joints' angles.
     distance_slack: added to the limit on the distance, metres.
-    push_slack: likewise, of each world, [B].
+    recovering: seconds after a push in which robots may stray, [B]; negative
+      when over.
     disturbances: values by row of `Disturbances`, [B] each.
   """
 
@@ -87,7 +88,7 @@ class ImitationCore:
     config.check_modes(mode_set.motions)
     self.config = config
     self.distance_slack = 0.0
-    self.push_slack = np.zeros(num_worlds)
+    self.recovering = np.zeros(num_worlds)
     self.disturbances = disturbances.nominal(num_worlds)
     self.tracker = commands.ModeTracker(
       mode_set,
@@ -160,6 +161,11 @@ class ImitationCore:
     """Remembers the joint targets of a control step, radians, [B, J]."""
     self.actions[:, 1:] = self.actions[:, :-1].copy()
     self.actions[:, 0] = actions
+
+  @property
+  def push_slack(self) -> np.ndarray:
+    """Added to the limit on the distance after pushes, metres, [B]."""
+    return self.config.events.push_slack * (self.recovering > 0)
 
   def advance(
     self, qpos: np.ndarray, qvel: np.ndarray, contact: np.ndarray

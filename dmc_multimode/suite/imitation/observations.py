@@ -350,8 +350,17 @@ def part(
   robot: robot_lib.Robot | None = None,
 ) -> slice:
   """Returns the place of a part in flat observations; see `layout`."""
+  return place(name, layout(latent_dim, privileged, extra, robot))
+
+
+def place(name: str, parts: Iterable[tuple[str, int]]) -> slice:
+  """Returns the place of a part among parts of given names and sizes.
+
+  Raises:
+    ValueError: there is no such part.
+  """
   start = 0
-  for other, length in layout(latent_dim, privileged, extra, robot):
+  for other, length in parts:
     if other == name:
       return slice(start, start + length)
     start += length

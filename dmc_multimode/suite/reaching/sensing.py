@@ -88,12 +88,7 @@ class Observer:
     Raises:
       ValueError: there is no such part.
     """
-    start = 0
-    for other, length in self.layout:
-      if other == name:
-        return slice(start, start + length)
-      start += length
-    raise ValueError(f'{name!r} is not a part of the observation.')
+    return observations.place(name, self.layout)
 
   def observe(
     self,

@@ -574,7 +574,7 @@ def test_pushed_robots_may_stray_for_two_seconds() -> None:
   )
   worlds.reset()
   _stand(worlds)
-  worlds._recovering[3] = 1.0
+  worlds.core.recovering[3] = 1.0
   other.restore(worlds.state())
   np.testing.assert_array_equal(np.flatnonzero(other.core.push_slack), [3])
 
