@@ -39,6 +39,8 @@ _EVENTS: Mapping[str, str] = {
   'obstacles': 'Share of the commands that meet an obstacle: {}.',
   'push_speed': 'Largest push, m/s: {}.',
   'push_interval': 'Mean time between pushes: {} s.',
+  'push_fraction': 'Probability of an episode to have pushes: {}.',
+  'push_cost_share': 'Factor of the costs of loud motions after a push: {}.',
   'push_slack': 'Added to the bound on the distance after a push: {} m.',
   'disturbance_share': 'Share of the way from the nominal robot to the drawn '
   'one: {}.',
@@ -50,6 +52,8 @@ _EVENTS: Mapping[str, str] = {
 # Event -> the event without which it means nothing.
 _DEPENDENT = {
   'push_interval': 'push_speed',
+  'push_fraction': 'push_speed',
+  'push_cost_share': 'push_speed',
   'push_slack': 'push_speed',
   'disturbance_share': 'disturbances',
   'disturbance_fraction': 'disturbances',
@@ -57,6 +61,8 @@ _DEPENDENT = {
 }
 # Events that are of no interest at their defaults.
 _DEFAULTS = (
+  'push_fraction',
+  'push_cost_share',
   'push_slack',
   'disturbance_share',
   'disturbance_fraction',

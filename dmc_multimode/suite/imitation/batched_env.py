@@ -365,6 +365,7 @@ class BatchedImitation:
       'contact': self.core.contact,
       'actions': self.core.actions,
       'soles': self._soles,
+      'pushed': self.core.pushed,
       'recovering': self.core.recovering,
     }
     if self._noisy:
@@ -409,6 +410,7 @@ class BatchedImitation:
     )
     self._soles[:] = soles
     costs = share * motion_costs.total(motion, scheduled.costs)
+    costs[self.core.recovering > 0] *= scheduled.push_cost_share
     return np.where(outcome.cause == terminations.NON_FINITE, 0.0, costs)
 
   def _assist(self) -> None:
@@ -420,14 +422,13 @@ class BatchedImitation:
 
   def _push(self) -> None:
     """Applies random horizontal pushes; see `events.push`."""
-    config, scheduled = self.config, self.config.events
     ids = events.push(
       self.qvel,
-      scheduled.push_speed.at(self.steps),
-      config.control_timestep / scheduled.push_interval,
+      self.config.events.push_speed.at(self.steps),
+      self.core.push_probability,
       self._random_state,
     )
-    self.core.recovering -= config.control_timestep
+    self.core.recovering -= self.config.control_timestep
     self.core.recovering[ids] = events.RECOVERY
 
   def _conclude(

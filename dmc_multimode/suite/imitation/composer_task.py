@@ -352,10 +352,9 @@ class Imitation(composer.Task):
 
   def _push(self, physics: Any, random_state: np.random.RandomState) -> None:
     """Pushes the robot at random; see `events.push`."""
-    scheduled = self.config.events
-    speed = scheduled.push_speed.at(0)
+    speed = self.config.events.push_speed.at(0)
     if speed:
-      chance = self.config.control_timestep / scheduled.push_interval
+      chance = self.core.push_probability
       events.push(physics.data.qvel[None], speed, chance, random_state)
       physics.forward()
 

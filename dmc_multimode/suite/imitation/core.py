@@ -60,6 +60,7 @@ class ImitationCore:
     actions: last joint targets, the newest first, radians, [B, H, J]; at the
       start of an episode, the joints' angles.
     distance_slack: added to the limit on the distance, metres.
+    pushed: whether the episode has pushes, [B].
     recovering: seconds after a push in which robots may stray, [B]; negative
       when over.
     disturbances: values by row of `Disturbances`, [B] each.
@@ -88,6 +89,7 @@ class ImitationCore:
     config.check_modes(mode_set.motions)
     self.config = config
     self.distance_slack = 0.0
+    self.pushed = np.ones(num_worlds, dtype=bool)
     self.recovering = np.zeros(num_worlds)
     self.disturbances = disturbances.nominal(num_worlds)
     self.tracker = commands.ModeTracker(
@@ -155,6 +157,9 @@ class ImitationCore:
     from_rest = ~on_reference
     self.tracker.match_pace(ids[from_rest], qvel[from_rest, :3])
     self.actions[ids] = qpos[:, None, 7:]
+    fraction = self.config.events.push_fraction
+    if fraction < 1:
+      self.pushed[ids] = random_state.uniform(size=count) < fraction
     return qpos, qvel
 
   def act(self, actions: np.ndarray) -> None:
@@ -166,6 +171,13 @@ class ImitationCore:
   def push_slack(self) -> np.ndarray:
     """Added to the limit on the distance after pushes, metres, [B]."""
     return self.config.events.push_slack * (self.recovering > 0)
+
+  @property
+  def push_probability(self) -> np.ndarray:
+    """Probability of a push in a control step, [B]."""
+    config = self.config
+    rate = config.control_timestep / config.events.push_interval
+    return rate * self.pushed
 
   def advance(
     self, qpos: np.ndarray, qvel: np.ndarray, contact: np.ndarray

@@ -22,7 +22,7 @@ from dmc_multimode.utils import config
 from dmc_multimode.utils import schedule
 
 _MEMORY = 0.995  # The mean follows about the last 200 episodes.
-RECOVERY = 2.0  # Seconds after a push in which `push_slack` counts.
+RECOVERY = 2.0  # Seconds after a push in which a robot is recovering.
 _ENOUGH = 1 / 3  # Share of survivors above which assistance fades.
 _CLEARANCE = 0.05  # Metres: clearance at which a swinging foot agrees fully.
 _SWING_HEIGHT = 0.06  # Metres: clearance in the middle of a step's swing.
@@ -48,10 +48,13 @@ class TrainingEvents:
       with a smaller weight, and then follows its reference more closely.
     obstacles: share of the commands that meet an obstacle, see
       `suite.imitation.obstacles`.
-    push_speed: largest velocity that a push adds, m/s.
+    push_speed: largest velocity that a push adds, m/s; see `push`.
     push_interval: mean time between the pushes of a robot, seconds.
+    push_fraction: probability of an episode to have pushes.
     push_slack: added to `limits.distance` for two seconds after a push, metres:
       a robot that steps to stay up strays, and has to come back.
+    push_cost_share: factor of `costs` in these two seconds: such steps are not
+      quiet.
     disturbances: of body, servos and ground, drawn for each episode.
     disturbance_share: of the way from the nominal robot to the drawn one.
     disturbance_fraction: probability of each row of the disturbances to be
@@ -70,7 +73,9 @@ class TrainingEvents:
   obstacles: schedule.ScheduleField = _ZERO
   push_speed: schedule.ScheduleField = _ZERO
   push_interval: config.Positive = 1.5
+  push_fraction: config.Share = 1.0
   push_slack: config.NonNegative = 0.0
+  push_cost_share: config.Share = 1.0
   disturbances: disturbances_lib.Disturbances = disturbances_lib.NOMINAL
   disturbance_share: schedule.ShareField = schedule.constant(1.0)
   disturbance_fraction: config.Share = 1.0
@@ -180,15 +185,17 @@ class TakeoffAssistance:
 def push(
   qvel: np.ndarray,
   speed: float,
-  probability: float,
+  probability: float | np.ndarray,
   random_state: np.random.RandomState,
 ) -> np.ndarray:
   """Adds random horizontal velocities to some robots, in place.
 
+  They are uniform in a disc, so that three of four exceed half of `speed`.
+
   Args:
     qvel: generalised velocities, [B, 6 + J]; changed in place.
     speed: largest velocity that a push adds, m/s; at 0 nothing is drawn.
-    probability: of a push, for each robot.
+    probability: of a push, for each robot, [B] or one for all.
     random_state: source of the robots, speeds and directions.
 
   Returns:
@@ -198,7 +205,8 @@ def push(
     return np.zeros(0, dtype=np.int64)
   uniform = lambda high, size: random_state.uniform(0, high, size)
   ids = np.flatnonzero(uniform(1.0, len(qvel)) < probability)
-  speeds, angle = uniform(speed, len(ids)), uniform(2 * np.pi, len(ids))
+  speeds = speed * np.sqrt(uniform(1.0, len(ids)))
+  angle = uniform(2 * np.pi, len(ids))
   qvel[ids, 0] += speeds * np.cos(angle)
   qvel[ids, 1] += speeds * np.sin(angle)
   return ids

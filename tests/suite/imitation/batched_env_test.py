@@ -26,6 +26,7 @@ from dmc_multimode.suite.imitation import composer_task
 from dmc_multimode.suite.imitation import config
 from dmc_multimode.suite.imitation import episodes
 from dmc_multimode.suite.imitation import events
+from dmc_multimode.suite.imitation import motion_costs
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.suite.imitation import rewards
 from dmc_multimode.suite.imitation import terminations
@@ -577,6 +578,39 @@ def test_pushed_robots_may_stray_for_two_seconds() -> None:
   worlds.core.recovering[3] = 1.0
   other.restore(worlds.state())
   np.testing.assert_array_equal(np.flatnonzero(other.core.push_slack), [3])
+
+
+def test_a_share_of_the_episodes_has_pushes() -> None:
+  worlds = _launching(
+    push_speed=schedules.constant(0.5), push_interval=0.03, push_fraction=0.3
+  )
+  plain = _launching(push_fraction=0.3)
+  pushed = worlds.core.pushed.copy()
+  _stand(worlds)
+  _stand(plain)
+  np.testing.assert_array_equal(plain.core.pushed, pushed)
+  assert pushed.any() and not pushed.all()
+  moved = (worlds.qvel != plain.qvel).any(axis=1)
+  np.testing.assert_array_equal(moved, pushed)
+  worlds.reset()
+  assert (worlds.core.pushed != pushed).any()
+
+
+def test_recovering_robots_pay_their_share_of_the_costs() -> None:
+  gained = []
+  for share in (1.0, 0.25, 0.0):
+    worlds = _launching(
+      costs=motion_costs.CostWeights(action_change=1.0),
+      push_speed=schedules.constant(0.1),
+      push_interval=0.03,
+      push_cost_share=share,
+    )
+    _stand(worlds)  # All are pushed at its end.
+    actions = np.zeros((worlds.num_worlds, 10))
+    gained.append(worlds.step(actions).reward)
+  whole, quarter, none = gained
+  assert (none > whole).all()
+  np.testing.assert_allclose(none - quarter, (none - whole) / 4)
 
 
 @pytest.mark.parametrize('share', (1.0, 0.25, 0.0))
