@@ -7,7 +7,7 @@ import pathlib
 import pkgutil
 import subprocess
 import sys
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ from dmc_multimode import suite
 from dmc_multimode.arenas import track
 from dmc_multimode.modes import library
 from dmc_multimode.suite import multimode_biped
+from dmc_multimode.suite import reaching
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes as episodes_lib
 from tests.bin import untrained
@@ -85,6 +86,11 @@ def test_load_is_the_suites() -> None:
     )
   with pytest.raises(ValueError, match='walk_forward'):
     dmm.load('fly')
+
+
+def test_checkers_know_every_reaching_task() -> None:
+  tasks = {f'reach_{name}' for name in reaching.TRACKS}
+  assert set(get_args(dmm._Reaching)) == tasks
 
 
 def test_worlds_of_names_are_the_tasks_worlds() -> None:

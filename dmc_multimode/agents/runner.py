@@ -15,6 +15,7 @@ from dmc_multimode.agents.ppo import acting
 from dmc_multimode.agents.ppo import learning
 from dmc_multimode.agents.ppo import networks
 from dmc_multimode.agents.ppo import rollouts
+from dmc_multimode.utils import arrays
 from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import constants
 
@@ -236,16 +237,15 @@ class TrainingLoop:
     """
     tensors, values = checkpointing.scatter(self._communicator, tensors, values)
     try:
-      self._learner.restore(learning.part_of(tensors, 'learner/'))
-      self._actor.restore(learning.part_of(tensors, 'actor/'))
+      self._learner.restore(arrays.part_of(tensors, 'learner/'))
+      self._actor.restore(arrays.part_of(tensors, 'actor/'))
       world_state = {
-        k: v.numpy()
-        for k, v in learning.part_of(tensors, 'environment/').items()
+        k: v.numpy() for k, v in arrays.part_of(tensors, 'environment/').items()
       }
       self._observation = torch.from_numpy(
         self._environment.restore(world_state)
       )
-      self._returns.restore(learning.part_of(tensors, 'tracker/'))
+      self._returns.restore(arrays.part_of(tensors, 'tracker/'))
       self.iterations = int(values['iterations'])
       if int(values['steps']) != self.steps:
         raise RuntimeError(f'its worlds have made {self.steps:,} steps.')

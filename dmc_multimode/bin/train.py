@@ -3,7 +3,7 @@ r"""Trains a policy.
     python -m dmc_multimode.bin.train \
       --flagfile=flags/quickstart.flags --run_dir=runs/quickstart
 
-Every field of the configurations is a flag, which --helpfull explains: --ppo_*,
+Every field of the configurations is a flag, which --help explains: --ppo_*,
 --sampling_*, --task_*. A value that changes along the training is a schedule
 `FIRST[:LAST][@START[:END]]` over environment steps, such as 0:0.5@8e6.
 Ctrl-C stops after the current iteration, with a checkpoint; --resume continues

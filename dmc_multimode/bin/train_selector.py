@@ -5,7 +5,7 @@ r"""Trains a mode selector: a network that commands modes from what it sees.
 
 A low-level policy turns modes into motion on random tracks; the selector learns
 by PPO to command it to the goal. `plan --planner=selector` runs it. Every field
-of the configurations is a flag, which --helpfull explains: --learning_*,
+of the configurations is a flag, which --help explains: --learning_*,
 --task_*. Ctrl-C ends it, and --resume continues from the last checkpoint.
 """
 

@@ -18,7 +18,6 @@ from torch import nn
 
 from dmc_multimode.agents import checkpointing
 from dmc_multimode.agents import loggers
-from dmc_multimode.agents.ppo import learning
 from dmc_multimode.agents.ppo import losses
 from dmc_multimode.experiments import config as run_config
 from dmc_multimode.experiments import signals
@@ -27,6 +26,7 @@ from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.reaching import environment as reaching_env
 from dmc_multimode.suite.reaching import sensing
 from dmc_multimode.suite.reaching import worlds as worlds_lib
+from dmc_multimode.utils import arrays
 from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import files
 from dmc_multimode.utils import schedule
@@ -360,15 +360,15 @@ class SelectorTraining:
     self, tensors: Mapping[str, torch.Tensor], values: Mapping[str, Any]
   ) -> None:
     """Restores a `state`; training then continues bit for bit."""
-    self.network.load_state_dict(learning.part_of(tensors, 'network/'))
+    self.network.load_state_dict(arrays.part_of(tensors, 'network/'))
     for i, parameter in enumerate(self.network.parameters()):
-      moments = learning.part_of(tensors, f'adam/{i}/')
+      moments = arrays.part_of(tensors, f'adam/{i}/')
       if moments:
         self._adam.state[parameter] = {
           key: value.clone() for key, value in moments.items()
         }
     worlds = {
-      k: v.numpy() for k, v in learning.part_of(tensors, 'worlds/').items()
+      k: v.numpy() for k, v in arrays.part_of(tensors, 'worlds/').items()
     }
     self._observation = self.worlds.restore(worlds)
     self._generator.set_state(tensors['generator'])

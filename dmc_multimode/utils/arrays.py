@@ -4,10 +4,11 @@ Engines and policies take what callers hand over through these functions, so
 that nothing behind them broadcasts, cuts or rounds it silently.
 """
 
-from typing import Any, Mapping
+from typing import Any, Mapping, TypeVar
 
 import numpy as np
 
+_T = TypeVar('_T')
 _MOST_NAMED = 8  # Worlds that an error lists.
 
 
@@ -121,3 +122,12 @@ def restore_generator(
   random_state.set_state(
     ('MT19937', state['keys'], int(position), int(has_gauss), gauss)
   )
+
+
+def part_of(state: Mapping[str, _T], prefix: str) -> dict[str, _T]:
+  """Returns entries whose key starts with `prefix`, prefix removed."""
+  return {
+    key.removeprefix(prefix): value
+    for key, value in state.items()
+    if key.startswith(prefix)
+  }

@@ -13,6 +13,7 @@ from dmc_multimode.agents.ppo import losses
 from dmc_multimode.agents.ppo import networks
 from dmc_multimode.agents.ppo import optimiser
 from dmc_multimode.agents.ppo import rollouts as rollouts_lib
+from dmc_multimode.utils import arrays
 
 _LEARNING_RATE_STEP = 1.2  # Factor of each adaptation.
 _KL_STRIDE = 8  # Stride of the samples from which the KL is estimated.
@@ -238,13 +239,13 @@ class PPOLearner:
   def restore(self, state: Mapping[str, torch.Tensor]) -> None:
     """Restores a `state`; raises ValueError when it is of another network."""
     try:
-      self.network.load_state_dict(part_of(state, 'network/'))
+      self.network.load_state_dict(arrays.part_of(state, 'network/'))
     except RuntimeError as error:
       raise ValueError(
         f'The checkpoint is of another network: {error}'.replace('\n', ' ')
       ) from error
     for name, part in self._parts():
-      part.restore(part_of(state, f'optimiser/{name}/'))
+      part.restore(arrays.part_of(state, f'optimiser/{name}/'))
     self._generator.set_state(state['generator'])
     self._set_learning_rate(float(state['learning_rate']))
 
@@ -255,14 +256,3 @@ class PPOLearner:
     self.learning_rate = value
     for _, part in self._parts():
       part.set_learning_rate(value)
-
-
-def part_of(
-  state: Mapping[str, torch.Tensor], prefix: str
-) -> dict[str, torch.Tensor]:
-  """Returns entries whose key starts with `prefix`, prefix removed."""
-  return {
-    key.removeprefix(prefix): value
-    for key, value in state.items()
-    if key.startswith(prefix)
-  }

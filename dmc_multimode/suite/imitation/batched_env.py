@@ -653,8 +653,10 @@ class BatchedImitation:
     # Earlier versions wrote `total_steps`, and a counter of the episodes.
     self.steps = int(state['steps' if 'steps' in state else 'total_steps'])
     for name, part in self._stateful_parts():
-      part.restore(_sub(state, f'{name}/'))
-    arrays.restore_generator(self._random_state, _sub(state, 'random/'))
+      part.restore(arrays.part_of(state, f'{name}/'))
+    arrays.restore_generator(
+      self._random_state, arrays.part_of(state, 'random/')
+    )
     self._follow_schedules()
     self._move_boxes(np.arange(self.num_worlds))
     self._write_body(np.arange(self.num_worlds))
@@ -662,11 +664,3 @@ class BatchedImitation:
 
   def _stateful_parts(self) -> tuple[tuple[str, Any], ...]:
     return (('episodes', self.episodes), ('assistance', self.assistance))
-
-
-def _sub(state: Mapping[str, np.ndarray], prefix: str) -> dict[str, Any]:
-  return {
-    key.removeprefix(prefix): value
-    for key, value in state.items()
-    if key.startswith(prefix)
-  }

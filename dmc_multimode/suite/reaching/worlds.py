@@ -259,15 +259,12 @@ class ReachingWorlds:
     Raises:
       ValueError: the state is of another number of worlds or another task.
     """
-    part = lambda prefix: {
-      key.removeprefix(prefix): value
-      for key, value in state.items()
-      if key.startswith(prefix)
-    }
-    self._seen = self._worlds.restore(part('worlds/'))
+    self._seen = self._worlds.restore(arrays.part_of(state, 'worlds/'))
     for name, field in self._fields().items():
       field[:] = state[name]
-    arrays.restore_generator(self._random_state, part('random/'))
+    arrays.restore_generator(
+      self._random_state, arrays.part_of(state, 'random/')
+    )
     return self._observation.copy()
 
   def _fields(self) -> dict[str, Any]:
