@@ -9,6 +9,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from dmc_multimode.walkers import extents
 from dmc_multimode.walkers import mirroring
 from dmc_multimode.walkers import robot as robot_lib
 from dmc_multimode.walkers import robot_walker
@@ -97,7 +98,12 @@ def derive(robot: robot_lib.Robot) -> Derived:
   )
   stance = _stand(model, robot, _joints(model, robot))
   mirror = mirroring.derive(
-    model, stance.data.qpos, robot.joints, robot.declaration.feet, stance.sites
+    model,
+    stance.data.qpos,
+    robot.joints,
+    robot.declaration.feet,
+    stance.sites,
+    robot.declaration.asymmetry or 0.0,
   )
   heights = stance.data.site_xpos[stance.sites, 2]
   lowest = [_lowest(model, stance.data, geoms) for geoms in stance.geoms]
@@ -199,7 +205,7 @@ def _foot_geoms(
   own = [
     geom
     for geom in range(model.ngeom)
-    if model.geom_bodyid[geom] == body and _collides(model)[geom]
+    if model.geom_bodyid[geom] == body and extents.collides(model)[geom]
   ]
   found = own if named < 0 else [geom for geom in own if geom == named]
   if not found:
@@ -209,17 +215,12 @@ def _foot_geoms(
   return found
 
 
-def _collides(model: mujoco.MjModel) -> np.ndarray:
-  """Returns whether each geom touches others, [G]."""
-  return (model.geom_contype | model.geom_conaffinity) != 0
-
-
 def _check_above(
   model: mujoco.MjModel, data: mujoco.MjData, ground: float, feet: set[int]
 ) -> None:
   """Raises ValueError if a geom of no foot is in the ground."""
   for geom in range(model.ngeom):
-    if not _collides(model)[geom] or geom in feet:
+    if not extents.collides(model)[geom] or geom in feet:
       continue
     depth = ground - _lowest(model, data, [geom])
     if depth > _LEVEL * -ground:
@@ -230,57 +231,20 @@ def _check_above(
       )
 
 
-def farthest(
-  model: mujoco.MjModel, data: mujoco.MjData, geom: int, way: np.ndarray
-) -> float:
-  """Returns how far a geom reaches along a direction, world metres.
-
-  Args:
-    model, data: of the robot, after `mj_kinematics`.
-    geom: index.
-    way: unit vector in the world, [3].
-
-  Raises:
-    ValueError: the geom is no solid body.
-  """
-  kind, size = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]
-  local = way @ data.geom_xmat[geom].reshape(3, 3)
-  kinds = mujoco.mjtGeom
-  if kind == kinds.mjGEOM_SPHERE:
-    reach = size[0]
-  elif kind == kinds.mjGEOM_CAPSULE:
-    reach = size[0] + size[1] * abs(local[2])
-  elif kind == kinds.mjGEOM_CYLINDER:
-    reach = size[0] * np.hypot(local[0], local[1]) + size[1] * abs(local[2])
-  elif kind == kinds.mjGEOM_ELLIPSOID:
-    reach = np.linalg.norm(size * local)
-  elif kind == kinds.mjGEOM_BOX:
-    reach = np.abs(local) @ size
-  elif kind == kinds.mjGEOM_MESH:
-    mesh = model.geom_dataid[geom]
-    start = model.mesh_vertadr[mesh]
-    vertices = model.mesh_vert[start : start + model.mesh_vertnum[mesh]]
-    reach = np.max(vertices @ local)
-  else:
-    name = model.geom(geom).name.removeprefix(PREFIX)
-    raise ValueError(f'the geom {name!r} is no solid body.')
-  return float(way @ data.geom_xpos[geom] + reach)
-
-
 def _lowest(
   model: mujoco.MjModel, data: mujoco.MjData, geoms: list[int]
 ) -> float:
   """Returns the height of the lowest point of geoms, metres."""
-  return float(_ends(model, data, geoms)[0, 2])
+  return float(extents.bounds(model, data, geoms)[0, 2])
 
 
 def _trunk_size(stance: Stance) -> np.ndarray:
   """Returns how far the trunk's solid geoms reach along its axes, [3]."""
   model = stance.model
-  own = np.flatnonzero((model.geom_bodyid == stance.trunk) & _collides(model))
+  own = np.flatnonzero((model.geom_bodyid == stance.trunk) & extents.collides(model))
   if not len(own):
     return np.full(3, -_TRUNK * stance.ground)
-  return np.abs(_ends(model, stance.data, own.tolist())).max(axis=0)
+  return np.abs(extents.bounds(model, stance.data, own.tolist())).max(axis=0)
 
 
 def _stance_width(stance: Stance, mirror: mirroring.Mirror) -> float:
@@ -425,7 +389,7 @@ def _support(
     found: list[tuple[int, np.ndarray, float]] = []
     reaches = []
     for foot, body, place in zip(feet, bodies, places, strict=True):
-      ends = _ends(model, data, _foot_geoms(model, foot, body, prefix))
+      ends = extents.bounds(model, data, _foot_geoms(model, foot, body, prefix))
       ankle = data.xpos[body]
       over = ends[0, 1] <= ankle[1] <= ends[1, 1]
       y = ankle[1] if over else place[1]
@@ -447,14 +411,3 @@ def _support(
       'the centre of mass is not over the feet in the standing pose.'
     )
   return found
-
-
-def _ends(
-  model: mujoco.MjModel, data: mujoco.MjData, geoms: list[int]
-) -> np.ndarray:
-  """Returns the bounds of geoms along the axes, world metres, [2, 3]."""
-  axes = np.eye(3)
-  reach = lambda axis: max(farthest(model, data, g, axis) for g in geoms)
-  return np.array(
-    [[-reach(-axis) for axis in axes], [reach(axis) for axis in axes]]
-  )

@@ -9,6 +9,7 @@ from dm_control.locomotion.walkers import legacy_base
 import mujoco
 import numpy as np
 
+from dmc_multimode.walkers import extents
 from dmc_multimode.walkers import robot as robot_lib
 
 _PLACE = ('pos', 'quat', 'axisangle', 'euler', 'xyaxes', 'zaxis')
@@ -91,9 +92,12 @@ class RobotWalker(legacy_base.Walker):
         f'joints must be all of the model, in its order: {reason}'
         f'it has {", ".join(found)}.'
       )
+    kinds = ('site', 'geom', 'body')
     for foot in declared.feet:
-      if not (root.find('site', foot) or root.find('geom', foot)):
-        raise ValueError(f'the foot {foot!r} is neither a site nor a geom.')
+      if all(root.find(kind, foot) is None for kind in kinds):
+        raise ValueError(
+          f'the foot {foot!r} is neither a site nor a geom nor a body.'
+        )
 
   def _free_trunk(self) -> None:
     """Leaves the root joint and the place of the trunk to arenas."""
@@ -161,12 +165,15 @@ class RobotWalker(legacy_base.Walker):
     Those that the model has in this order are left; others are made.
     """
     root, feet = self._mjcf_root, self.robot.declaration.feet
-    geoms = [foot for foot in feet if root.find('site', foot) is None]
-    if geoms:
+    others = [foot for foot in feet if root.find('site', foot) is None]
+    if others:
       # Compiled, for much of a shape may be that of a class.
       model = compile_model(root)
-      for foot in geoms:
-        self._add_site(root.find('geom', foot), model.geom(foot))
+      for foot in others:
+        if root.find('geom', foot) is not None:
+          self._add_site(root.find('geom', foot), model.geom(foot))
+        else:
+          self._add_box(root.find('body', foot), model)
     sites = [root.find('site', foot) for foot in feet]
     for site in sites:
       if site.parent.name is None:  # dm_control's end effectors have names.
@@ -196,6 +203,28 @@ class RobotWalker(legacy_base.Walker):
       size=used,
       pos=compiled.pos,
       quat=compiled.quat,
+      group=4,
+    )
+
+  def _add_box(self, body: Any, model: mujoco.MjModel) -> None:
+    """Adds a site of a body's name, around all that collides of it."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    index = model.body(body.name).id
+    own = (model.geom_bodyid == index) & extents.collides(model)
+    if not own.any():
+      raise ValueError(
+        f'the foot {body.name!r} touches nothing: no geom of it collides.'
+      )
+    axes = data.xmat[index].reshape(3, 3).T
+    geoms = np.flatnonzero(own).tolist()
+    low, high = extents.bounds(model, data, geoms, axes)
+    body.add(
+      'site',
+      name=body.name,
+      type='box',
+      size=(high - low) / 2 + _MARGIN,
+      pos=(low + high) / 2 - axes @ data.xpos[index],
       group=4,
     )
 
