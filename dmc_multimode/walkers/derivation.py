@@ -14,7 +14,7 @@ from dmc_multimode.walkers import mirroring
 from dmc_multimode.walkers import robot as robot_lib
 from dmc_multimode.walkers import robot_walker
 
-PREFIX = 'walker/'
+PREFIX = robot_walker.PREFIX
 _TRUNK = 0.2  # Share of the height that a trunk without geoms is shown with.
 _LEVEL = 0.02  # Share of the height by which the feet's heights may differ.
 _SWEEPS, _GRID = 3, 33  # Of the search for the longest leg.

@@ -12,6 +12,7 @@ import numpy as np
 from dmc_multimode.walkers import extents
 from dmc_multimode.walkers import robot as robot_lib
 
+PREFIX = 'walker/'  # Of the names of a robot in its arena.
 _PLACE = ('pos', 'quat', 'axisangle', 'euler', 'xyaxes', 'zaxis')
 _SHAPES = {  # Of feet that are geoms, and of their sites.
   mujoco.mjtGeom.mjGEOM_SPHERE: 'sphere',
@@ -338,6 +339,17 @@ def compile_alone(walker: RobotWalker) -> mujoco.MjModel:
   root = arena.mjcf_model
   root.option.noslip_iterations = 0
   return compile_model(root)
+
+
+def compile_fixed(walker: RobotWalker) -> mujoco.MjModel:
+  """Compiles a robot whose trunk is fixed at the origin.
+
+  Raises:
+    ValueError: in one line, MuJoCo refuses the model.
+  """
+  arena = composer.Arena()
+  arena.attach(walker)
+  return compile_model(arena.mjcf_model)
 
 
 def compile_model(root: mjcf.RootElement) -> mujoco.MjModel:
