@@ -17,6 +17,7 @@ from dmc_multimode.walkers import robot_walker
 PREFIX = robot_walker.PREFIX
 _TRUNK = 0.2  # Share of the height that a trunk without geoms is shown with.
 _LEVEL = 0.02  # Share of the height by which the feet's heights may differ.
+_DIGITS = 5  # Of the corners of soles, metres.
 _SWEEPS, _GRID = 3, 33  # Of the search for the longest leg.
 _MOVING = tuple(
   int(kind)
@@ -37,6 +38,7 @@ class Derived:
     stance_width: of the feet, from right to left, metres.
     sole_depth: of the contact with the ground below each foot's site, metres,
       [F].
+    sole_corners: of each sole in the frame of its site, metres, [F, 4, 3].
     pose: joints in the standing pose, radians, [J].
     joint_limits: lower and upper, radians, [2, J].
     action_bounds: lower and upper, radians, [2, J].
@@ -54,6 +56,7 @@ class Derived:
   leg_length: float
   stance_width: float
   sole_depth: np.ndarray
+  sole_corners: np.ndarray
   pose: np.ndarray
   joint_limits: np.ndarray
   action_bounds: np.ndarray
@@ -114,6 +117,7 @@ def derive(robot: robot_lib.Robot) -> Derived:
     leg_length=_leg_length(stance),
     stance_width=_stance_width(stance, mirror),
     sole_depth=np.array([_rounded(d) for d in heights - np.array(lowest)]),
+    sole_corners=np.array([_corners(stance, f) for f in range(len(heights))]),
     pose=stance.data.qpos[7:].copy(),
     joint_limits=limits,
     action_bounds=_action_bounds(model, robot, limits),
@@ -236,6 +240,17 @@ def _lowest(
 ) -> float:
   """Returns the height of the lowest point of geoms, metres."""
   return float(extents.bounds(model, data, geoms)[0, 2])
+
+
+def _corners(stance: Stance, foot: int) -> np.ndarray:
+  """Returns the corners of a flat sole in the frame of its site, [4, 3]."""
+  data, site = stance.data, stance.sites[foot]
+  low, high = extents.bounds(stance.model, data, stance.geoms[foot])
+  places = np.array([
+    (x, y, low[2]) for x in (low[0], high[0]) for y in (low[1], high[1])
+  ])
+  axes = data.site_xmat[site].reshape(3, 3)
+  return np.round((places - data.site_xpos[site]) @ axes, _DIGITS)
 
 
 def _trunk_size(stance: Stance) -> np.ndarray:

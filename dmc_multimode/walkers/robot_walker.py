@@ -21,6 +21,12 @@ _SHAPES = {  # Of feet that are geoms, and of their sites.
   mujoco.mjtGeom.mjGEOM_CYLINDER: 'cylinder',
   mujoco.mjtGeom.mjGEOM_BOX: 'box',
 }
+# Views of robots that have none of these names: their places from the trunk, in
+# metres of the mini biped, and their x and y axes.
+_CAMERAS = {
+  'side': ([0.0, -2.4, 0.35], [1.0, 0.0, 0.0, 0.0, 0.12, 1.0]),
+  'front': ([2.2, -0.9, 0.5], [0.38, 0.92, 0.0, -0.18, 0.07, 1.0]),
+}
 _MARGIN = 0.005  # Metres by which a touch site is larger than its geom.
 
 
@@ -73,6 +79,20 @@ class RobotWalker(legacy_base.Walker):
       bounds = robot.derived.action_bounds.T.tolist()
       for actuator, bound in zip(self.actuators, bounds, strict=True):
         actuator.ctrlrange = bound
+      self._add_cameras()
+
+  def _add_cameras(self) -> None:
+    """Adds the cameras that follow the robot, unless it has them."""
+    for name, (place, axes) in _CAMERAS.items():
+      if self._mjcf_root.find('camera', name) is None:
+        self.root_body.add(
+          'camera',
+          name=name,
+          mode='trackcom',
+          pos=self.robot.size * np.array(place),
+          xyaxes=axes,
+          fovy=45,
+        )
 
   def _check_names(self) -> None:
     """Raises ValueError unless the declared joints are those of the model."""
