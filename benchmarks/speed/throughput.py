@@ -1,6 +1,7 @@
 """Environment steps per second: raw physics, both engines, the whole PPO loop.
 
     python -m benchmarks.speed.throughput --modes=pi2 --out=throughput.json
+    python -m benchmarks.speed.throughput --robot=go1 --modes=quadruped
 
 Everything is measured in turns, round after round, and compared with the raw
 physics of the same round: noise of the machine hits all alike. Raw physics
@@ -41,6 +42,9 @@ from dmc_multimode.utils import files
 
 _POLICY = config_flags.define_path(
   'policy', None, 'A policy that acts, by name or folder; --modes must be its.'
+)
+_ROBOT = config_flags.define_path(
+  'robot', None, 'A robot, by file or name; --modes must be for its feet.'
 )
 _ROUNDS = flags.DEFINE_integer('rounds', 5, 'Medians are over these.', 1)
 _SECONDS = flags.DEFINE_float(
@@ -200,7 +204,8 @@ def _rate(step: Callable[[], Any], count: int, seconds: float) -> float:
 
 
 def _build(config: run_config.RunConfig) -> setup.Run:
-  mode_set = library.mode_set(config.modes)
+  height = config.task.robot.stand_height
+  mode_set = library.mode_set(config.modes, stand_height=height)
   if not _POLICY.value:
     return setup.build(config, mode_set)
   trained = policy_lib.load(_POLICY.value)
@@ -273,7 +278,8 @@ def profile(config: run_config.RunConfig) -> list[common.Row]:
 def main(argv: Sequence[str]) -> None:
   """Measures, prints, writes."""
   del argv
-  out, config = files.output_file('out', _OUT.value), common.configured()
+  out = files.output_file('out', _OUT.value)
+  config = common.configured(_ROBOT.value)
   print(common.describe(config))
   if _PROFILE.value:
     rows = profile(config)

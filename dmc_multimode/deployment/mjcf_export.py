@@ -46,9 +46,9 @@ def write(
   """Writes a model of a robot on a track, with the robot's meshes, if any.
 
   The robot stands on a free joint at the origin, facing +x. The keyframe
-  `stand` has its standing pose and the controls that carry it. The physics are those
-  of the task of default configuration, with the joints' servo inertia for the
-  time step, except that a diverged state is reset as everywhere in MuJoCo.
+  `stand` has its standing pose and the controls that carry it. The physics are
+  those of the task of default configuration, except that a diverged state is
+  reset as everywhere in MuJoCo.
 
   Args:
     out_dir: folder of the file; made if it is missing.

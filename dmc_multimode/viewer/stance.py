@@ -74,7 +74,9 @@ def _view(
   radius = np.max(np.linalg.norm(places - centre, axis=1) + reaches)
   camera.lookat[:], camera.distance = centre, _DISTANCE * radius
   camera.azimuth, camera.elevation = azimuth, _ELEVATION
-  option.geomgroup[_COLLIDING] = not (robot & (model.geom_group < _COLLIDING)).any()
+  option.geomgroup[_COLLIDING] = not (
+    robot & (model.geom_group < _COLLIDING)
+  ).any()
   renderer.update_scene(data, camera, option)
   for origin, rotation in frames:
     _add_axes(renderer.scene, origin, rotation, height)

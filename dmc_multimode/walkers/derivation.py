@@ -246,9 +246,9 @@ def _corners(stance: Stance, foot: int) -> np.ndarray:
   """Returns the corners of a flat sole in the frame of its site, [4, 3]."""
   data, site = stance.data, stance.sites[foot]
   low, high = extents.bounds(stance.model, data, stance.geoms[foot])
-  places = np.array([
-    (x, y, low[2]) for x in (low[0], high[0]) for y in (low[1], high[1])
-  ])
+  places = np.array(
+    [(x, y, low[2]) for x in (low[0], high[0]) for y in (low[1], high[1])]
+  )
   axes = data.site_xmat[site].reshape(3, 3)
   return np.round((places - data.site_xpos[site]) @ axes, _DIGITS)
 
@@ -256,7 +256,9 @@ def _corners(stance: Stance, foot: int) -> np.ndarray:
 def _trunk_size(stance: Stance) -> np.ndarray:
   """Returns how far the trunk's solid geoms reach along its axes, [3]."""
   model = stance.model
-  own = np.flatnonzero((model.geom_bodyid == stance.trunk) & extents.collides(model))
+  own = np.flatnonzero(
+    (model.geom_bodyid == stance.trunk) & extents.collides(model)
+  )
   if not len(own):
     return np.full(3, -_TRUNK * stance.ground)
   return np.abs(extents.bounds(model, stance.data, own.tolist())).max(axis=0)

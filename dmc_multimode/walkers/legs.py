@@ -74,19 +74,18 @@ class Legs:
     rates = np.zeros_like(angles)
     for foot in range(forward.shape[1]):
       mine = np.flatnonzero(self.leg == foot)
-      corner = lambda a, b, f=foot, m=mine: (
-        self.table[i[:, f] + a, j[:, f] + b][:, m]
-      )
+      corner = lambda a, b, f=foot, m=mine: self.table[
+        i[:, f] + a, j[:, f] + b
+      ][:, m]
       w, h = u[:, foot, None], v[:, foot, None]
       near = (1 - h) * corner(0, 0) + h * corner(0, 1)
       far = (1 - h) * corner(1, 0) + h * corner(1, 1)
       low = (1 - w) * corner(0, 0) + w * corner(1, 0)
       high = (1 - w) * corner(0, 1) + w * corner(1, 1)
       angles[:, mine] = (1 - w) * near + w * far
-      rates[:, mine] = (
-        (far - near) / along * forward_rate[:, foot, None]
-        + (high - low) / up * height_rate[:, foot, None]
-      )
+      rates[:, mine] = (far - near) / along * forward_rate[:, foot, None] + (
+        high - low
+      ) / up * height_rate[:, foot, None]
     return angles, rates
 
 

@@ -32,8 +32,7 @@ def test_feet_are_where_they_should_be() -> None:
   np.testing.assert_array_equal(found.leg, np.repeat(np.arange(4), 3))
   model = robot_walker.compile_fixed(robot_walker.RobotWalker(robot))
   sites = [
-    model.site(robot_walker.PREFIX + foot).id
-    for foot in robot.declaration.feet
+    model.site(robot_walker.PREFIX + foot).id for foot in robot.declaration.feet
   ]
 
   def feet(joints: np.ndarray) -> np.ndarray:
