@@ -83,8 +83,8 @@ class Declaration:
     model: MJCF file, in the folder of the declaration; or
       `package:NAME/PATH`, in that of an installed package.
     trunk: body that carries the robot, the only one of the world.
-    feet: sites, geoms or bodies (left, right), or (front left, front right, hind left,
-      hind right).
+    feet: sites, geoms or bodies (left, right), or (front left, front right,
+      hind left, hind right).
     joints: all joints of the model, in its order, which is that of the actions.
     pose: in which the robot stands, radians (metres of slides) by joint; 0 for
       those that it leaves out.

@@ -2,9 +2,9 @@
 
 A user's model is data. It is read from one folder alone, that of its
 declaration or of an installed package, no larger than a robot has to be;
-whatever makes a small file a large model, or loads code, is refused. What belongs to a scene and not to a robot (options,
-keyframes, floors, lights and cameras of the world) is left out: arenas and
-tasks have their own.
+whatever makes a small file a large model, or loads code, is refused. What
+belongs to a scene and not to a robot (options, keyframes, floors, lights and
+cameras of the world) is left out: arenas and tasks have their own.
 """
 
 import importlib.util
