@@ -1,4 +1,4 @@
-"""How far the geoms of a model reach."""
+"""Reach of the geoms of a model."""
 
 import mujoco
 import numpy as np

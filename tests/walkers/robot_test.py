@@ -361,6 +361,15 @@ def _with_sites(files: _Copy) -> None:
   files.declare(feet=list(_LEGS))
 
 
+def _with_bodies(files: _Copy) -> None:
+  """Feet without names, each the only geom of a body that collides."""
+  for leg in _LEGS:
+    old = f'<geom name="{leg}_foot" class="foot"/>'
+    body = f'<body name="{leg}"><geom class="foot"/></body>'
+    files.edit(old, body)
+  files.declare(feet=list(_LEGS))
+
+
 def _without_names_of_bodies(files: _Copy) -> None:
   for leg in _LEGS:
     files.edit(f'<body name="{leg}_calf"', '<body')
@@ -377,7 +386,8 @@ def _with_own_servos(files: _Copy) -> None:
 
 
 @pytest.mark.parametrize(
-  'change', [_with_sites, _with_own_servos, _without_names_of_bodies]
+  'change',
+  [_with_sites, _with_bodies, _with_own_servos, _without_names_of_bodies],
 )
 def test_other_ways_to_say_the_same(
   files: _Copy, four_legs: robot_lib.Robot, change: Callable[[_Copy], None]
