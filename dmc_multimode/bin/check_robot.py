@@ -6,7 +6,7 @@ r"""Checks a robot's declaration: compiles, mirrors, stands and drops it.
 draws its stance, with the feet and the axes of their sites and the trunk, and
 prints all that follows from the declaration and its model, and ends with exit
 code 2 and one line if something is wrong. No policy balances it here: two feet
-stand for a moment, and may fall when they are dropped. See docs/ADD_A_ROBOT.md.
+stand for a moment, and may fall when they are dropped. See docs/ROBOTS.md.
 """
 
 from typing import Iterator, Sequence, TYPE_CHECKING
