@@ -101,9 +101,9 @@ def _cell(
 
 @functools.cache
 def find(robot: robot_lib.Robot) -> Legs | None:
-  """Returns the legs of a robot, solved at the first call; None without mink.
+  """Returns the legs of a robot, solved at the first call.
 
-  Warns, once, that mink is not installed.
+  None, with a warning, where mink is not installed, or the feet cannot be moved.
   """
   if importlib.util.find_spec('mink') is None:
     warnings.warn(
@@ -115,8 +115,8 @@ def find(robot: robot_lib.Robot) -> Legs | None:
   return _solve(robot)
 
 
-def _solve(robot: robot_lib.Robot) -> Legs:
-  """Solves the inverse kinematics on the grid, row by row from the pose."""
+def _solve(robot: robot_lib.Robot) -> Legs | None:
+  """Solves the inverse kinematics on the grid, from the standing pose on."""
   height, pose = robot.stand_height, robot.derived.pose
   model = robot_walker.compile_fixed(robot_walker.RobotWalker(robot))
   solver = _Solver(model, robot)
@@ -140,7 +140,12 @@ def _solve(robot: robot_lib.Robot) -> Legs:
   last = min(fails[fails > middle[1]], default=len(_HEIGHTS))
   kept = slice(first, last)
   if last - first < 2:
-    raise ValueError('the feet cannot be moved up or down from the pose.')
+    warnings.warn(
+      f'episodes of {robot.name} begin in its standing pose, not mid-stride: its '
+      'feet cannot be moved up or down from there.',
+      stacklevel=3,
+    )
+    return None
   heights = _HEIGHTS[kept] * height
   return Legs(table[:, kept], _AHEAD * height, heights, solver.leg, pose)
 
