@@ -103,7 +103,7 @@ def _cell(
 def find(robot: robot_lib.Robot) -> Legs | None:
   """Returns the legs of a robot, solved at the first call.
 
-  None, with a warning, where mink is not installed, or the feet cannot be moved.
+  None, with a warning, where mink is not installed or the feet cannot be moved.
   """
   if importlib.util.find_spec('mink') is None:
     warnings.warn(
@@ -134,15 +134,15 @@ def _solve(robot: robot_lib.Robot) -> Legs | None:
     shift = np.array([_AHEAD[node[0]], 0.0, 1 - _HEIGHTS[node[1]]]) * height
     table[node], missed[node] = solver.solve(table[near], shift)
   # Heights about the standing one that the feet reach, also a little ahead.
-  near = slice(middle[0] - 1, middle[0] + 2)
-  fails = np.flatnonzero(missed[near].max(axis=0) > _REACHED * height)
+  ahead = slice(middle[0] - 1, middle[0] + 2)
+  fails = np.flatnonzero(missed[ahead].max(axis=0) > _REACHED * height)
   first = max(fails[fails < middle[1]], default=-1) + 1
   last = min(fails[fails > middle[1]], default=len(_HEIGHTS))
   kept = slice(first, last)
   if last - first < 2:
     warnings.warn(
-      f'episodes of {robot.name} begin in its standing pose, not mid-stride: its '
-      'feet cannot be moved up or down from there.',
+      f'episodes of {robot.name} begin in its standing pose, not mid-stride: '
+      'its feet cannot be moved up or down from there.',
       stacklevel=3,
     )
     return None
