@@ -27,6 +27,7 @@ from dmc_multimode.suite.imitation import observations
 from dmc_multimode.suite.imitation import symmetry
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import schedule as schedules
+from dmc_multimode.walkers import legs
 from dmc_multimode.walkers import robot as robot_lib
 
 _FOLDER = pathlib.Path(__file__).parents[2] / 'robots'
@@ -95,7 +96,7 @@ def test_tasks_of_four_feet_take_a_robot(robot: robot_lib.Robot) -> None:
 
 
 def test_visual_geoms_that_weigh_stay(robot: robot_lib.Robot) -> None:
-  """Where bodies have no inertia of their own, trainings need those."""
+  """Trainings need them, as bodies have no inertia of their own."""
   eye = '<geom size=".02" mass=".5" contype="0" conaffinity="0"/>'
   xml = robot.model.xml.replace('<freejoint />', f'<freejoint />{eye}')
   model = robot.model._replace(xml=xml)
@@ -197,9 +198,12 @@ def test_it_stands_and_counts_its_feet(
   np.testing.assert_allclose(worlds.measure()['reference_contact'], 1.0)
 
 
-def test_starts_are_in_the_standing_pose(
-  robot: robot_lib.Robot, modes: mode_set_lib.ModeSet
+def test_starts_without_mink_are_in_the_standing_pose(
+  robot: robot_lib.Robot,
+  modes: mode_set_lib.ModeSet,
+  monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+  monkeypatch.setattr(legs, 'find', lambda robot: None)
   plan = schedule.single(np.ones(64, dtype=np.int64))
   started = events.TrainingEvents(reference_starts=1.0)
   task = _task(robot, modes, plan, events=started)
