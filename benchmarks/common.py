@@ -1,5 +1,6 @@
 """Shares flags, tables and reports with the machine among benchmarks."""
 
+import dataclasses
 import importlib.metadata
 import json
 import os
@@ -13,7 +14,9 @@ import tqdm
 
 from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.experiments import config as run_config
+from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.utils import files
+from dmc_multimode.walkers import robot as robot_lib
 
 CORES = len(os.sched_getaffinity(0))
 _PACKAGES = ('mujoco', 'dm_control', 'torch', 'numpy')
@@ -92,11 +95,19 @@ def define_run_flags() -> None:
     config_flags.define(getattr(run_config.RunConfig(), part), part)
 
 
-def configured() -> run_config.RunConfig:
-  """Returns a run's configuration by its flags."""
+def configured(robot: str | None = None) -> run_config.RunConfig:
+  """Returns a run's configuration by its flags.
+
+  Args:
+    robot: file or name of a robot; the mini biped by default.
+  """
+  default = run_config.RunConfig()
+  if robot:
+    found = robot_lib.load(robot)
+    task = task_config.for_robot(default.task, found)
+    default = dataclasses.replace(default, task=task)
   values: dict[str, Any] = {
-    part: config_flags.read(getattr(run_config.RunConfig(), part), part)
-    for part in _PARTS
+    part: config_flags.read(getattr(default, part), part) for part in _PARTS
   }
   for name in ('modes', 'num_worlds', 'threads', 'seed'):
     values[name] = flags.FLAGS[name].value
@@ -106,8 +117,8 @@ def configured() -> run_config.RunConfig:
 def describe(config: run_config.RunConfig) -> str:
   """Returns what is run, and on what."""
   return (
-    f'{config.modes}, {config.num_worlds} worlds, {config.threads} threads on '
-    f'{CORES} cores, mujoco {_version("mujoco")}'
+    f'{config.task.robot.name}, {config.modes}, {config.num_worlds} worlds, '
+    f'{config.threads} threads on {CORES} cores, mujoco {_version("mujoco")}'
   )
 
 

@@ -1,6 +1,8 @@
-"""Environment steps per second: raw physics, both engines, the whole PPO loop.
+r"""Environment steps per second: raw physics, both engines, the whole PPO loop.
 
     python -m benchmarks.speed.throughput --modes=pi2 --out=throughput.json
+    python -m benchmarks.speed.throughput --robot=go1 --modes=quadruped \
+      --only_worlds
 
 Everything is measured in turns, round after round, and compared with the raw
 physics of the same round: noise of the machine hits all alike. Raw physics
@@ -42,11 +44,17 @@ from dmc_multimode.utils import files
 _POLICY = config_flags.define_path(
   'policy', None, 'A policy that acts, by name or folder; --modes must be its.'
 )
+_ROBOT = config_flags.define_path(
+  'robot', None, 'A robot, by file or name; --modes must be for its feet.'
+)
 _ROUNDS = flags.DEFINE_integer('rounds', 5, 'Medians are over these.', 1)
 _SECONDS = flags.DEFINE_float(
   'seconds', 3.0, 'Of each measurement in a round.', lower_bound=0.01
 )
 _OUT = common.define_out()
+_ONLY_WORLDS = flags.DEFINE_bool(
+  'only_worlds', False, 'Measure raw physics and BatchedImitation alone.'
+)
 _PROFILE = flags.DEFINE_enum(
   'profile',
   None,
@@ -200,7 +208,8 @@ def _rate(step: Callable[[], Any], count: int, seconds: float) -> float:
 
 
 def _build(config: run_config.RunConfig) -> setup.Run:
-  mode_set = library.mode_set(config.modes)
+  height = config.task.robot.stand_height
+  mode_set = library.mode_set(config.modes, stand_height=height)
   if not _POLICY.value:
     return setup.build(config, mode_set)
   trained = policy_lib.load(_POLICY.value)
@@ -219,15 +228,17 @@ def compare(config: run_config.RunConfig) -> list[common.Row]:
   """Measures all contenders in turns; returns the rows of the table."""
   rates: dict[str, list[float]] = {}
   with contextlib.ExitStack() as stack:
-    worlds, iterate = _Worlds(config), _iterations(config)
+    worlds = _Worlds(config)
     samples = config.num_worlds * config.ppo.rollout_length
     contenders: list[Measure] = [worlds.measure]
-    if not _POLICY.value:
+    if not (_POLICY.value or _ONLY_WORLDS.value):
       contenders += [
         make(config, _draw_around(worlds.environment, config.seed), stack)
         for make in (_composer, _processes)
       ]
-    contenders.append(lambda s: {_PPO: _rate(iterate, samples, s)})
+    if not _ONLY_WORLDS.value:
+      iterate = _iterations(config)
+      contenders.append(lambda s: {_PPO: _rate(iterate, samples, s)})
     for _ in tqdm.trange(_ROUNDS.value, unit='round'):
       for measure in contenders:
         for name, rate in measure(_SECONDS.value).items():
@@ -273,7 +284,8 @@ def profile(config: run_config.RunConfig) -> list[common.Row]:
 def main(argv: Sequence[str]) -> None:
   """Measures, prints, writes."""
   del argv
-  out, config = files.output_file('out', _OUT.value), common.configured()
+  out = files.output_file('out', _OUT.value)
+  config = common.configured(_ROBOT.value)
   print(common.describe(config))
   if _PROFILE.value:
     rows = profile(config)

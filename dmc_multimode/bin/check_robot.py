@@ -1,23 +1,33 @@
 r"""Checks a robot's declaration: compiles, mirrors, stands and drops it.
 
-  python -m dmc_multimode.bin.check_robot --robot=my_robot.yaml
+  python -m dmc_multimode.bin.check_robot --robot=my_robot.yaml \
+    --picture=my_robot.png
 
+draws its stance, with the feet and the axes of their sites and the trunk, and
 prints all that follows from the declaration and its model, and ends with exit
 code 2 and one line if something is wrong. No policy balances it here: two feet
-stand for a moment, and may fall when they are dropped. See docs/ADD_A_ROBOT.md.
+stand for a moment, and may fall when they are dropped. See docs/ROBOTS.md.
 """
 
 from typing import Iterator, Sequence, TYPE_CHECKING
 
 from dmc_multimode.bin import app
 from dmc_multimode.bin import flags as config_flags
+from dmc_multimode.utils import files
+from dmc_multimode.viewer import gl
 
 if TYPE_CHECKING:
   from dmc_multimode.walkers import robot as robot_lib
   from dmc_multimode.walkers import trial
 
 _ROBOT = config_flags.define_path(
-  'robot', None, 'YAML or JSON file of the robot.', required=True
+  'robot',
+  None,
+  'YAML or JSON file of the robot, or the name of one that comes along.',
+  required=True,
+)
+_PICTURE = config_flags.define_path(
+  'picture', None, 'PNG file to write, of the stance; none by default.'
 )
 
 
@@ -29,6 +39,7 @@ def rows(robot: 'robot_lib.Robot') -> Iterator[tuple[str, str]]:
   yield 'standing height', f'{derived.stand_height:g} m ({robot.size:.3g})'
   yield 'leg length', f'{derived.leg_length:g} m'
   yield 'stance width', f'{derived.stance_width:g} m'
+  yield 'left and right differ', f'{derived.mirror.asymmetry:.1g}'
   yield 'feet', ', '.join(robot.declaration.feet)
   yield (
     'soles below the sites',
@@ -77,14 +88,22 @@ def main(argv: Sequence[str]) -> None:
   del argv
   if not _ROBOT.value:
     raise ValueError('--robot must name a file.')
+  if _PICTURE.value:
+    gl.choose_backend()
+    if not _PICTURE.value.lower().endswith('.png'):
+      raise ValueError('--picture must end in .png.')
   # Late, as these import dm_control.
+  from dmc_multimode.viewer import stance
   from dmc_multimode.walkers import robot as robot_lib
   from dmc_multimode.walkers import trial
 
+  out = files.output_file('picture', _PICTURE.value)
   robot = robot_lib.load(_ROBOT.value)
   _show(list(rows(robot)))
   print()
   _show(list(joint_rows(robot)))
+  if out:
+    stance.write(robot, out)
   print()
   height = trial.DROP * robot.stand_height
   standing = trial.STANDING[robot.num_feet]

@@ -40,7 +40,7 @@ _TIMESTEP = flags.DEFINE_float(
 )
 _OF = {
   'onnx': ('policy', 'robot'),
-  'mjcf': ('arena', 'sizes', 'seed', 'physics_timestep'),
+  'mjcf': ('arena', 'sizes', 'seed', 'physics_timestep', 'robot'),
 }
 
 
@@ -67,6 +67,7 @@ def _write_model(out: pathlib.Path) -> None:
     config_flags.read_sizes(_SIZES.value),
     _SEED.value,
     _TIMESTEP.value,
+    _ROBOT.value or None,
   )
   print(f'wrote {path} ({path.stat().st_size} bytes)')
 

@@ -27,6 +27,7 @@ from dmc_multimode.bin import flags as config_flags
 _POLICY = config_flags.define_path(
   'policy', 'pi2', 'Name of a shipped policy, or folder of a policy or a run.'
 )
+_ROBOT = config_flags.define_robot()
 _ARENA = flags.DEFINE_string(
   'arena', 'flat', f'{", ".join(layouts.NAMES)} or endless.'
 )
@@ -64,6 +65,7 @@ def main(argv: Sequence[str]) -> None:
     disturbed=config_flags.given_disturbances(),
     selector=_SELECTOR.value,
     difficulty=_DIFFICULTY.value,
+    robot=_ROBOT.value or None,
   )
 
 

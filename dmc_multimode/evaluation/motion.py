@@ -10,7 +10,7 @@ from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import terminations
-from dmc_multimode.walkers import mini_biped
+from dmc_multimode.walkers import derivation
 
 _FIELDS = ('qpos', 'qvel', 'actuator_force', 'sensordata')
 _MOST_EPISODES = 16  # Of a mode: records are large.
@@ -26,22 +26,18 @@ class Recorder:
     """Begins to record `worlds`; returns the records of a control step.
 
     By field of MjData, float32 [B, physics steps, ...], `action`, joint targets
-    in force at the end, [B, 10], and the segments of the ground, [B, S].
+    in force at the end, [B, J], and the segments of the ground, [B, S].
     """
     model, core = worlds.physics.model, worlds.core
-    feet = [model.site(f'walker/{side}_foot').id for side in mini_biped.SIDES]
+    robot, prefix = worlds.config.robot, derivation.PREFIX
+    feet = [model.site(prefix + foot).id for foot in robot.declaration.feet]
     worlds.physics.record([*_FIELDS, 'ctrl', 'site_xpos', 'site_xmat'])
     self._config = worlds.config
-    self._weight = (
-      -model.opt.gravity[2]
-      * model.body_subtreemass[model.body('walker/trunk').id]
-    )
+    trunk = model.body(prefix + robot.declaration.trunk).id
+    self._weight = -model.opt.gravity[2] * model.body_subtreemass[trunk]
     self._limits = np.stack(
-      [model.joint(f'walker/{name}').range for name in mini_biped.JOINTS],
-      axis=1,
+      [model.joint(prefix + name).range for name in robot.joints], axis=1
     )
-    foot = model.geom(f'walker/{mini_biped.SIDES[0]}_foot')
-    self._corners = _corners(foot.size)
 
     def measure() -> dict[str, np.ndarray]:
       records = worlds.physics.records
@@ -69,10 +65,8 @@ class Recorder:
   ) -> motion_metrics.MotionTrace:
     """Returns the trace of an episode's records, [T, physics steps, ...]."""
     flat = {key: v.reshape(-1, *v.shape[2:]) for key, v in steps.items()}
-    turns = flat['turns'].reshape(-1, 2, 3, 3)
-    corners = flat['feet'][:, :, None] + np.einsum(
-      'nfij,cj->nfci', turns, self._corners
-    )
+    robot = self._config.robot
+    corners = _corners(flat['feet'], flat['turns'], robot.derived)
     ground = [
       np.repeat(steps[key], self._config.substeps, axis=0)
       for key in ('starts', 'ends', 'tops')
@@ -91,12 +85,28 @@ class Recorder:
       travels=travels,
       control_timestep=self._config.control_timestep,
       physics_timestep=self._config.physics_timestep,
+      pairs=robot.derived.mirror.pairs,
+      hip_yaws=motion_metrics.HIP_YAWS if robot.is_mini_biped else (),
     )
 
 
-def _corners(halves: np.ndarray) -> np.ndarray:
-  """Returns the corners of a sole in its frame, metres, [4, 3]."""
-  return halves * np.array([(x, y, -1) for x in (-1, 1) for y in (-1, 1)])
+def _corners(
+  feet: np.ndarray, turns: np.ndarray, derived: derivation.Derived
+) -> np.ndarray:
+  """Returns the corners of soles, world metres, [N, F, C, 3].
+
+  Args:
+    feet: places of their sites, world metres, [N, F, 3].
+    turns: orientations of these, [N, F, 9].
+    derived: of the robot.
+  """
+  if feet.shape[1] > 2:  # Points, however they are turned.
+    under = derived.sole_depth[:, None] * np.array([0.0, 0.0, 1.0])
+    return (feet - under)[:, :, None]
+  axes = turns.reshape(*feet.shape, 3)
+  return feet[:, :, None] + np.einsum(
+    'nfij,fcj->nfci', axes, derived.sole_corners
+  )
 
 
 def depths(

@@ -14,7 +14,7 @@ _LEAST_LOAD = 1.0  # Newtons on a foot that touches the ground.
 _STANCE_LOAD = 0.1  # Body weights on a foot that stands.
 _LEAST_SWING = 0.03  # Seconds off the ground before a touch-down: no chatter.
 _NEAR_LIMIT = np.deg2rad(0.5)
-_HIP_YAWS = (0, 5)  # Of the joints.
+HIP_YAWS = (0, 5)  # Of the joints.
 
 
 class MotionTrace(NamedTuple):
@@ -24,20 +24,23 @@ class MotionTrace(NamedTuple):
   feet are those at its beginning.
 
   Attributes:
-    actions: joint targets in force, radians, [T, 10].
-    joints: joint positions, radians, [N, 10].
-    joint_speeds: rad/s, [N, 10].
-    torques: of the servos, Nm, [N, 10].
-    loads: forces on the soles (left, right), newtons, [N, 2].
-    corners: of the soles, world metres, [N, 2, 4, 3].
+    actions: joint targets in force, radians, [T, J].
+    joints: joint positions, radians, [N, J].
+    joint_speeds: rad/s, [N, J].
+    torques: of the servos, Nm, [N, J].
+    loads: forces on the soles, newtons, [N, F].
+    corners: of the soles, world metres, [N, F, C, 3]; one of a foot that is a
+      point.
     depths: of these corners under the ground, negative over it, metres,
-      [N, 2, 4].
+      [N, F, C].
     trunk: position of the trunk, world metres, [N, 3].
-    limits: lower and upper bounds of the joints, radians, [2, 10].
+    limits: lower and upper bounds of the joints, radians, [2, J].
     weight: of the robot, newtons.
     travels: whether the mode goes somewhere.
     control_timestep: seconds.
     physics_timestep: seconds.
+    pairs: indices of the feet (left, right).
+    hip_yaws: indices of these joints of the mini biped; none of others.
   """
 
   actions: np.ndarray
@@ -53,10 +56,12 @@ class MotionTrace(NamedTuple):
   travels: bool
   control_timestep: float
   physics_timestep: float
+  pairs: tuple[tuple[int, int], ...] = ((0, 1),)
+  hip_yaws: tuple[int, ...] = HIP_YAWS
 
   @property
   def velocities(self) -> np.ndarray:
-    """Velocities of the corners over each physics step, m/s, [N - 1, 2, 4, 3].
+    """Velocities of the corners over each physics step, m/s, [N - 1, F, C, 3].
 
     Of the steps that end where `loads[1:]` begin.
     """
@@ -161,19 +166,20 @@ def limit_excess(trace: MotionTrace) -> np.ndarray:
 
 
 def hip_yaw_at_limit(trace: MotionTrace) -> np.ndarray:
-  """Returns whether each hip yaw is at a limit or beyond, [N, 2]."""
+  """Returns whether each hip yaw is at a limit or beyond, [N, Y]."""
   low, high = trace.limits + np.array([[_NEAR_LIMIT], [-_NEAR_LIMIT]])
-  return ((trace.joints < low) | (trace.joints > high))[:, _HIP_YAWS]
+  return ((trace.joints < low) | (trace.joints > high))[:, list(trace.hip_yaws)]
 
 
 def peak_force(trace: MotionTrace) -> np.ndarray:
-  """Returns the largest force on both soles together, body weights, [1]."""
+  """Returns the largest force on all soles together, body weights, [1]."""
   return trace.loads.sum(axis=1).max(keepdims=True) / trace.weight
 
 
 def stance_asymmetry(trace: MotionTrace) -> np.ndarray:
   """Returns |left - right| / (left + right) of the stance times, [1]."""
-  left, right = (trace.loads > _LEAST_LOAD).sum(axis=0)
+  times = (trace.loads > _LEAST_LOAD).sum(axis=0)
+  left, right = times[np.array(trace.pairs)].sum(axis=0)
   return np.array([abs(left - right) / max(left + right, 1)])
 
 

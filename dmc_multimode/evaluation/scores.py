@@ -76,7 +76,7 @@ def evaluate(
     policy, seed, physics_timestep, quiet, communicator, disturbed
   )
   values = report(evaluator, episodes, clock_rate)
-  if with_motion and policy.config.robot.is_mini_biped:
+  if with_motion:
     values['motion'] = motion.evaluate(
       evaluator, MODE_FACTOR * episodes, clock_rate
     )

@@ -1,5 +1,6 @@
 """Library of named modes, and the paper's mode sets."""
 
+import dataclasses
 import functools
 from typing import Iterable, Mapping, Sequence
 
@@ -33,6 +34,10 @@ _DIRECTIONS = {
   'left': (0.0, 1.0),
   'right': (0.0, -1.0),
 }
+_TROT_SPEED = 0.8  # m/s; four feet are steadier.
+_BOUND_SPEED, _BOUND_DURATION = 1.0, 0.4  # A slower one would pitch too far.
+# Hind feet stand, then front feet, each for two fifths of the cycle.
+_BOUND_PHASES = np.array([0.0, 0.4, 0.5, 0.9, 1.0])
 _TURN = 0.35  # Radians a stride: 33 degrees a second.
 _MIRRORED = {'left': 'right', 'right': 'left'}
 
@@ -204,9 +209,85 @@ def _descent() -> motion_lib.ReferenceMotion:
   )
 
 
+def _on_four_feet(
+  motion: motion_lib.ReferenceMotion, name: str
+) -> motion_lib.ReferenceMotion:
+  """Returns a motion whose feet move together, for four of them."""
+  assert motion.contacts is not None
+  return dataclasses.replace(
+    motion,
+    name=name,
+    mirror=name,
+    contacts=np.repeat(motion.contacts[:, :1], 4, axis=1),
+  )
+
+
+def _four_footed_gait(
+  name: str,
+  speed: float,
+  duration: float,
+  phases: np.ndarray,
+  contacts: np.ndarray,
+  in_sync: bool = False,
+) -> motion_lib.ReferenceMotion:
+  """Returns a gait of constant height and speed, m/s, straight ahead."""
+  start = np.array([0.0, 0.0, constants.STAND_HEIGHT])
+  way = np.array([speed * duration, 0.0, 0.0])
+  return motion_lib.ReferenceMotion(
+    name=f'{name}_forward',
+    kind=motion_lib.PERIODIC,
+    duration=duration,
+    phases=phases,
+    positions=start + phases[:, None] * way,
+    orientations=_upright(len(phases)),
+    contacts=contacts,
+    half_cycle_symmetric=not in_sync,
+  )
+
+
+@functools.cache
+def four_footed_modes() -> Mapping[str, motion_lib.ReferenceMotion]:
+  """Returns the modes of four feet by name; they have no shipped latents.
+
+  Contacts are of the feet (front left, front right, hind left, hind right).
+  """
+  every = (1, 1, 1, 1)
+  stepping = lambda first, second: np.array(
+    [every, first, every, second, every, every]
+  )
+  hind, front, none = (0, 0, 1, 1), (1, 1, 0, 0), (0, 0, 0, 0)
+  motions = [
+    _on_four_feet(_idle(), 'stand'),
+    _four_footed_gait(
+      'trot',
+      _TROT_SPEED,
+      _WALK_DURATION,
+      _STEP_PHASES,
+      stepping((1, 0, 0, 1), (0, 1, 1, 0)),
+    ),
+    _four_footed_gait(
+      'pace',
+      _TROT_SPEED,
+      _WALK_DURATION,
+      _STEP_PHASES,
+      stepping((1, 0, 1, 0), (0, 1, 0, 1)),
+    ),
+    _four_footed_gait(
+      'bound',
+      _BOUND_SPEED,
+      _BOUND_DURATION,
+      _BOUND_PHASES,
+      np.array([hind, none, front, none, none]),
+      in_sync=True,
+    ),
+    _on_four_feet(_leap('forward'), 'pronk_forward'),
+  ]
+  return {motion.name: motion for motion in motions}
+
+
 @functools.cache
 def modes() -> Mapping[str, motion_lib.ReferenceMotion]:
-  """Returns every mode of the library by its name."""
+  """Returns every mode of two feet by its name."""
   motions = [_idle()]
   motions += [_walk(direction) for direction in _DIRECTIONS]
   motions += [_leap(direction) for direction in _DIRECTIONS]
@@ -215,7 +296,8 @@ def modes() -> Mapping[str, motion_lib.ReferenceMotion]:
   return {motion.name: motion for motion in motions}
 
 
-# Table I of the paper, all modes, and the small set of the quick start.
+# Table I of the paper, all modes of two feet, and the small sets of the quick
+# starts.
 SETS: Mapping[str, tuple[str, ...]] = {
   'pi1': ('idle',)
   + tuple(f'walk_{d}' for d in _DIRECTIONS)
@@ -227,6 +309,7 @@ SETS: Mapping[str, tuple[str, ...]] = {
   + tuple(f'leap_{d}' for d in _DIRECTIONS)
   + ('hop_forward', 'launch', 'step_down', 'turn_left', 'turn_right'),
   'quickstart': ('idle', 'walk_forward', 'leap_forward'),
+  'quadruped': ('stand', 'trot_forward', 'pronk_forward'),
 }
 
 
@@ -250,7 +333,7 @@ def resolve(
   """
   mine = {
     name: motion_lib.scaled(motion, stand_height)
-    for name, motion in modes().items()
+    for name, motion in {**modes(), **four_footed_modes()}.items()
   }
   known = {**mine, **{motion.name: motion for motion in extra}}
   if isinstance(spec, str):
@@ -283,6 +366,8 @@ def mode_set(
 ) -> mode_set_lib.ModeSet:
   """Returns the mode set of `spec`, with the shipped latents.
 
+  Modes of four feet have none: sets of them have one-hot commands.
+
   Args:
     spec: see `resolve`.
     extra: see `resolve`.
@@ -292,5 +377,7 @@ def mode_set(
     ValueError: a name is unknown, or the mode has no shipped latent.
   """
   motions = resolve(spec, extra, stand_height)
+  if all(motion.name in four_footed_modes() for motion in motions):
+    return mode_set_lib.one_hot(motions)
   names = [motion.name for motion in motions]
   return mode_set_lib.ModeSet(motions, codebook().subset(names))

@@ -21,14 +21,24 @@ gl.choose_late()
 from dm_control import suite as dm_suite  # noqa: E402
 import dm_env  # noqa: E402
 
+from dmc_multimode.modes import library  # noqa: E402
 from dmc_multimode.suite import multimode_biped  # noqa: E402
 
-__all__ = ['ALL_TASKS', 'DOMAIN', 'load', 'multimode_biped', 'register']
+__all__ = [
+  'ALL_TASKS',
+  'DOMAIN',
+  'FOUR_FOOTED',
+  'load',
+  'multimode_biped',
+  'register',
+]
 
 DOMAIN = 'multimode_biped'
 ALL_TASKS: tuple[tuple[str, str], ...] = tuple(
   (DOMAIN, name) for name in multimode_biped.SUITE
 )
+# Modes and sets of robots with four feet: tasks that need a `robot`.
+FOUR_FOOTED: tuple[str, ...] = (*library.four_footed_modes(), 'quadruped')
 
 # dm_control freezes its tuples of tasks at import: name -> tag of each.
 _TAGGED = {
@@ -51,9 +61,10 @@ def load(
 
   Args:
     domain_name: 'multimode_biped', or any domain of dm_control.
-    task_name: of the task.
-    task_kwargs: for the task's factory: `time_limit`, `random`; `policy` of the
-      tasks `reach_*`.
+    task_name: of the task; or a mode or set of four feet, which is none of the
+      tasks and needs a `robot`.
+    task_kwargs: for the task's factory: `time_limit`, `random`; `robot` of
+      modes and sets, `policy` of the tasks `reach_*`.
     environment_kwargs: for the environment's constructor.
     visualize_reward: shows the reward in the colour of the robot's eye (the
       tasks have dm_control's tag `no_reward_visualization`, which says that
@@ -62,6 +73,12 @@ def load(
   Raises:
     ValueError: the domain or task is unknown; the message lists ours.
   """
+  if domain_name == DOMAIN and task_name in FOUR_FOOTED:
+    environment = multimode_biped.imitation(
+      task_name, environment_kwargs=environment_kwargs, **(task_kwargs or {})
+    )
+    environment.task.visualize_reward = visualize_reward
+    return environment
   if domain_name == DOMAIN and task_name not in multimode_biped.SUITE:
     raise ValueError(
       f'Unknown task {task_name!r}; {DOMAIN} has '

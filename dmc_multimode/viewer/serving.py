@@ -12,6 +12,7 @@ from dmc_multimode.viewer import gl
 if TYPE_CHECKING:
   from dmc_multimode.viewer import session as session_lib
   from dmc_multimode.viewer import web_page
+  from dmc_multimode.walkers import robot as robot_lib
 
 _CATCH_UP = 0.1  # Seconds of delay that are caught up; more is dropped.
 
@@ -27,6 +28,7 @@ def view(
   disturbed: Mapping[str, float] | None = None,
   selector: str | os.PathLike[str] | None = None,
   difficulty: float = 0.5,
+  robot: 'str | os.PathLike[str] | robot_lib.Robot | None' = None,
 ) -> None:
   """Serves a policy that people can command, until it is interrupted.
 
@@ -42,6 +44,7 @@ def view(
     selector: folder of a selector, which then commands the robot; by default
       the one beside the policy, if any, which only stands by.
     difficulty: of the endless track, 0 to 1.
+    robot: that the policy must have been trained for, or its file.
 
   Raises:
     FileNotFoundError: there is no such policy or selector.
@@ -63,7 +66,7 @@ def view(
   from dmc_multimode.viewer import session as session_lib
 
   torch.set_num_threads(1)  # Batches are small.
-  loaded = pretrained.load(policy)
+  loaded = pretrained.load(policy, robot=robot)
   chosen = steering.SteeringConfig('' if selector is None else str(selector))
   pilot = None
   if selector is not None or steering.is_beside(policy):

@@ -9,13 +9,15 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from dmc_multimode.walkers import extents
 from dmc_multimode.walkers import mirroring
 from dmc_multimode.walkers import robot as robot_lib
 from dmc_multimode.walkers import robot_walker
 
-PREFIX = 'walker/'
+PREFIX = robot_walker.PREFIX
 _TRUNK = 0.2  # Share of the height that a trunk without geoms is shown with.
 _LEVEL = 0.02  # Share of the height by which the feet's heights may differ.
+_DIGITS = 5  # Of the corners of soles, metres.
 _SWEEPS, _GRID = 3, 33  # Of the search for the longest leg.
 _MOVING = tuple(
   int(kind)
@@ -36,6 +38,7 @@ class Derived:
     stance_width: of the feet, from right to left, metres.
     sole_depth: of the contact with the ground below each foot's site, metres,
       [F].
+    sole_corners: of each sole in the frame of its site, metres, [F, 4, 3].
     pose: joints in the standing pose, radians, [J].
     joint_limits: lower and upper, radians, [2, J].
     action_bounds: lower and upper, radians, [2, J].
@@ -53,6 +56,7 @@ class Derived:
   leg_length: float
   stance_width: float
   sole_depth: np.ndarray
+  sole_corners: np.ndarray
   pose: np.ndarray
   joint_limits: np.ndarray
   action_bounds: np.ndarray
@@ -97,7 +101,12 @@ def derive(robot: robot_lib.Robot) -> Derived:
   )
   stance = _stand(model, robot, _joints(model, robot))
   mirror = mirroring.derive(
-    model, stance.data.qpos, robot.joints, robot.declaration.feet, stance.sites
+    model,
+    stance.data.qpos,
+    robot.joints,
+    robot.declaration.feet,
+    stance.sites,
+    robot.declaration.asymmetry or 0.0,
   )
   heights = stance.data.site_xpos[stance.sites, 2]
   lowest = [_lowest(model, stance.data, geoms) for geoms in stance.geoms]
@@ -108,6 +117,7 @@ def derive(robot: robot_lib.Robot) -> Derived:
     leg_length=_leg_length(stance),
     stance_width=_stance_width(stance, mirror),
     sole_depth=np.array([_rounded(d) for d in heights - np.array(lowest)]),
+    sole_corners=np.array([_corners(stance, f) for f in range(len(heights))]),
     pose=stance.data.qpos[7:].copy(),
     joint_limits=limits,
     action_bounds=_action_bounds(model, robot, limits),
@@ -199,7 +209,7 @@ def _foot_geoms(
   own = [
     geom
     for geom in range(model.ngeom)
-    if model.geom_bodyid[geom] == body and _collides(model)[geom]
+    if model.geom_bodyid[geom] == body and extents.collides(model)[geom]
   ]
   found = own if named < 0 else [geom for geom in own if geom == named]
   if not found:
@@ -209,17 +219,12 @@ def _foot_geoms(
   return found
 
 
-def _collides(model: mujoco.MjModel) -> np.ndarray:
-  """Returns whether each geom touches others, [G]."""
-  return (model.geom_contype | model.geom_conaffinity) != 0
-
-
 def _check_above(
   model: mujoco.MjModel, data: mujoco.MjData, ground: float, feet: set[int]
 ) -> None:
   """Raises ValueError if a geom of no foot is in the ground."""
   for geom in range(model.ngeom):
-    if not _collides(model)[geom] or geom in feet:
+    if not extents.collides(model)[geom] or geom in feet:
       continue
     depth = ground - _lowest(model, data, [geom])
     if depth > _LEVEL * -ground:
@@ -230,57 +235,33 @@ def _check_above(
       )
 
 
-def farthest(
-  model: mujoco.MjModel, data: mujoco.MjData, geom: int, way: np.ndarray
-) -> float:
-  """Returns how far a geom reaches along a direction, world metres.
-
-  Args:
-    model, data: of the robot, after `mj_kinematics`.
-    geom: index.
-    way: unit vector in the world, [3].
-
-  Raises:
-    ValueError: the geom is no solid body.
-  """
-  kind, size = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]
-  local = way @ data.geom_xmat[geom].reshape(3, 3)
-  kinds = mujoco.mjtGeom
-  if kind == kinds.mjGEOM_SPHERE:
-    reach = size[0]
-  elif kind == kinds.mjGEOM_CAPSULE:
-    reach = size[0] + size[1] * abs(local[2])
-  elif kind == kinds.mjGEOM_CYLINDER:
-    reach = size[0] * np.hypot(local[0], local[1]) + size[1] * abs(local[2])
-  elif kind == kinds.mjGEOM_ELLIPSOID:
-    reach = np.linalg.norm(size * local)
-  elif kind == kinds.mjGEOM_BOX:
-    reach = np.abs(local) @ size
-  elif kind == kinds.mjGEOM_MESH:
-    mesh = model.geom_dataid[geom]
-    start = model.mesh_vertadr[mesh]
-    vertices = model.mesh_vert[start : start + model.mesh_vertnum[mesh]]
-    reach = np.max(vertices @ local)
-  else:
-    name = model.geom(geom).name.removeprefix(PREFIX)
-    raise ValueError(f'the geom {name!r} is no solid body.')
-  return float(way @ data.geom_xpos[geom] + reach)
-
-
 def _lowest(
   model: mujoco.MjModel, data: mujoco.MjData, geoms: list[int]
 ) -> float:
   """Returns the height of the lowest point of geoms, metres."""
-  return float(_ends(model, data, geoms)[0, 2])
+  return float(extents.bounds(model, data, geoms)[0, 2])
+
+
+def _corners(stance: Stance, foot: int) -> np.ndarray:
+  """Returns the corners of a flat sole in the frame of its site, [4, 3]."""
+  data, site = stance.data, stance.sites[foot]
+  low, high = extents.bounds(stance.model, data, stance.geoms[foot])
+  places = np.array(
+    [(x, y, low[2]) for x in (low[0], high[0]) for y in (low[1], high[1])]
+  )
+  axes = data.site_xmat[site].reshape(3, 3)
+  return np.round((places - data.site_xpos[site]) @ axes, _DIGITS)
 
 
 def _trunk_size(stance: Stance) -> np.ndarray:
   """Returns how far the trunk's solid geoms reach along its axes, [3]."""
   model = stance.model
-  own = np.flatnonzero((model.geom_bodyid == stance.trunk) & _collides(model))
+  own = np.flatnonzero(
+    (model.geom_bodyid == stance.trunk) & extents.collides(model)
+  )
   if not len(own):
     return np.full(3, -_TRUNK * stance.ground)
-  return np.abs(_ends(model, stance.data, own.tolist())).max(axis=0)
+  return np.abs(extents.bounds(model, stance.data, own.tolist())).max(axis=0)
 
 
 def _stance_width(stance: Stance, mirror: mirroring.Mirror) -> float:
@@ -425,7 +406,7 @@ def _support(
     found: list[tuple[int, np.ndarray, float]] = []
     reaches = []
     for foot, body, place in zip(feet, bodies, places, strict=True):
-      ends = _ends(model, data, _foot_geoms(model, foot, body, prefix))
+      ends = extents.bounds(model, data, _foot_geoms(model, foot, body, prefix))
       ankle = data.xpos[body]
       over = ends[0, 1] <= ankle[1] <= ends[1, 1]
       y = ankle[1] if over else place[1]
@@ -447,14 +428,3 @@ def _support(
       'the centre of mass is not over the feet in the standing pose.'
     )
   return found
-
-
-def _ends(
-  model: mujoco.MjModel, data: mujoco.MjData, geoms: list[int]
-) -> np.ndarray:
-  """Returns the bounds of geoms along the axes, world metres, [2, 3]."""
-  axes = np.eye(3)
-  reach = lambda axis: max(farthest(model, data, g, axis) for g in geoms)
-  return np.array(
-    [[-reach(-axis) for axis in axes], [reach(axis) for axis in axes]]
-  )

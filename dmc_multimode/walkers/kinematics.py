@@ -9,7 +9,7 @@ _CROUCH = np.deg2rad(54.0)  # Thigh from the vertical at zero angles, radians.
 LOWEST, HIGHEST = 0.37, 0.67  # Metres: knees and reach set the bounds.
 _HIP_PITCH, _KNEE, _ANKLE = 2, 3, 4  # Of each leg's five joints.
 _HALF_WIDTH = 0.09  # Metres: of the feet from the trunk's middle.
-_LIFT = 0.06  # Metres: of a swinging foot in the middle of a step.
+LIFT = 0.06  # Metres: of a swinging foot in the middle of a step.
 
 
 def placing(
@@ -59,6 +59,7 @@ def stepping(
   swinging: np.ndarray,
   time: np.ndarray,
   length: np.ndarray,
+  highest: float = LIFT,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
   """Returns places and velocities of a gait's feet during a step.
 
@@ -67,26 +68,31 @@ def stepping(
 
   Args:
     speed: of the trunk, forward, m/s, [N].
-    swinging: mask of the foot (left, right) in the air, [N, 2]; one at most.
+    swinging: mask of the feet in the air while others stand, [N, F].
     time: since the middle of the step, seconds, [N].
     length: of the step, seconds, [N].
+    highest: of a swinging foot in the middle of a step, metres.
 
   Returns:
     Distances of the soles ahead of their hips and heights over the ground,
-    metres, and the rates of both, m/s, [N, 2] each; zero for robots without a
+    metres, and the rates of both, m/s, [N, F] each; zero for robots without a
     swing foot.
   """
   steps = swinging.any(axis=1)
   way = np.where(swinging, 1.0, -1.0) * (steps * speed)[:, None]
   phase = (np.pi * time / length)[:, None]
-  lift = np.where(swinging, _LIFT * np.cos(phase), 0.0)
+  lift = np.where(swinging, highest * np.cos(phase), 0.0)
   pace = (np.pi / length)[:, None]
-  lift_rate = np.where(swinging, -_LIFT * pace * np.sin(phase), 0.0)
+  lift_rate = np.where(swinging, -highest * pace * np.sin(phase), 0.0)
   return way * time[:, None], lift, way, lift_rate
 
 
 def sway(
-  swinging: np.ndarray, time: np.ndarray, length: np.ndarray
+  swinging: np.ndarray,
+  time: np.ndarray,
+  length: np.ndarray,
+  half_width: float = _HALF_WIDTH,
+  stand_height: float = constants.STAND_HEIGHT,
 ) -> np.ndarray:
   """Returns the lateral velocity of the trunk during a step, m/s, [N].
 
@@ -95,12 +101,14 @@ def sway(
   end of the step, back.
 
   Args:
-    swinging, time, length: as for `stepping`.
+    swinging, time, length: as for `stepping`, of two feet.
+    half_width: of the feet from the trunk's middle, metres.
+    stand_height: of the trunk, metres.
 
   Returns:
     Velocity to the left, m/s, [N]; zero for robots without a swing foot.
   """
-  rate = np.sqrt(constants.GRAVITY / constants.STAND_HEIGHT)
+  rate = np.sqrt(constants.GRAVITY / stand_height)
   side = swinging[:, 1].astype(float) - swinging[:, 0]  # Left stance: 1.
-  scale = _HALF_WIDTH * rate / np.cosh(rate * length / 2)
+  scale = half_width * rate / np.cosh(rate * length / 2)
   return -side * scale * np.sinh(rate * time)

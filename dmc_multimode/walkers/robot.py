@@ -3,12 +3,16 @@
     name: mini_biped
     model: mini_biped.xml          # MJCF, in the folder of this file
     trunk: trunk                   # the body that carries the robot
-    feet: [left_foot, right_foot]  # two or four sites or geoms
+    feet: [left_foot, right_foot]  # two or four sites, geoms or bodies
     joints: [left_hip, left_knee, right_hip, right_knee]  # as actions are
     pose: {left_knee: 0.4, right_knee: 0.4}  # radians; 0 for the others
     servos: {stiffness: 30, damping: 0.5, limit: 30}  # or the model's own
     armature: 0.003                # kg m^2; or the model's own
     control_timestep: 0.03         # seconds
+
+The model may also be in an installed package, `package:NAME/PATH`: then files
+are read from that package's folder alone, and policies keep the hash of the
+model, not the model.
 
 Servos apply clip(stiffness (a - q) - damping dq/dt, +-limit) at every physics
 step; each of the three may be a table by joint. All else follows from the model
@@ -45,9 +49,11 @@ if TYPE_CHECKING:
 
 MAX_BYTES = 100_000  # Of a declaration.
 MAX_JOINTS = 64
+_SHIPPED = 'robots'  # Folder of the declarations in `xml/`.
 _DIGEST = 12  # Characters of a hash that are shown.
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_-]{0,63}')
 _Name = Annotated[str, pydantic.Field(min_length=1, max_length=100)]
+_Path = Annotated[str, pydantic.Field(min_length=1, max_length=300)]
 _Angle = Annotated[float, pydantic.Field(ge=-7.0, le=7.0)]
 _Gain = Annotated[float, pydantic.Field(gt=0, le=1e5)]
 _Damping = Annotated[float, pydantic.Field(ge=0, le=1e5)]
@@ -74,20 +80,23 @@ class Declaration:
 
   Attributes:
     name: of the robot.
-    model: MJCF file, in the folder of the declaration.
+    model: MJCF file, in the folder of the declaration; or
+      `package:NAME/PATH`, in that of an installed package.
     trunk: body that carries the robot, the only one of the world.
-    feet: sites or geoms (left, right), or (front left, front right, hind left,
-      hind right).
+    feet: sites, geoms or bodies (left, right), or (front left, front right,
+      hind left, hind right).
     joints: all joints of the model, in its order, which is that of the actions.
     pose: in which the robot stands, radians (metres of slides) by joint; 0 for
       those that it leaves out.
     servos: of the joints; None for the model's own position actuators.
     armature: of each joint, kg m^2; None for the model's own.
+    asymmetry: by how much left and right may differ: accelerations of the
+      mirror image, in those of the robot; None for not at all.
     control_timestep: period of a policy, seconds.
   """
 
   name: _Name
-  model: _Name
+  model: _Path
   trunk: _Name
   feet: tuple[_Name, ...]
   joints: Annotated[
@@ -96,6 +105,7 @@ class Declaration:
   pose: dict[str, _Angle] = pydantic.Field(default_factory=dict)
   servos: Servos | None = None
   armature: Annotated[float, pydantic.Field(ge=0, le=100.0)] | None = None
+  asymmetry: Annotated[float, pydantic.Field(ge=0, le=0.5)] | None = None
   control_timestep: Annotated[float, pydantic.Field(ge=1e-3, le=0.2)] = (
     constants.CONTROL_TIMESTEP
   )
@@ -195,16 +205,21 @@ class Robot:
     return self.stand_height / constants.STAND_HEIGHT
 
   def to_dict(self) -> dict[str, Any]:
-    """Returns declaration, model and hash as JSON values."""
-    return {
+    """Returns declaration, model and hash as JSON values.
+
+    The model of an installed package stays there.
+    """
+    values: dict[str, Any] = {
       'declaration': config.to_dict(self.declaration),
-      'model': self.model.xml,
-      'assets': {
-        name: base64.b64encode(content).decode()
-        for name, content in self.model.assets.items()
-      },
       'digest': self.digest,
     }
+    if not robot_files.is_packaged(self.declaration.model):
+      values['model'] = self.model.xml
+      values['assets'] = {
+        name: base64.b64encode(content).decode()
+        for name, content in self.model.assets.items()
+      }
+    return values
 
   def __eq__(self, other: object) -> bool:
     return isinstance(other, Robot) and self.digest == other.digest
@@ -219,19 +234,33 @@ class Robot:
     return self  # It never changes.
 
 
+def names() -> list[str]:
+  """Returns the names of the robots whose declarations come with the package.
+
+  All but the mini biped have their models in packages of the extra `robots`.
+  """
+  folder = resources.path('xml', _SHIPPED)
+  return ['mini_biped', *sorted(path.stem for path in folder.glob('*.yaml'))]
+
+
 def load(path: str | os.PathLike[str]) -> Robot:
   """Reads a robot's YAML or JSON file, with its model, and checks both.
 
-  The model's files are read from the folder of the declaration alone.
+  The model's files are read from one folder alone: that of the declaration, or
+  that of the package which it names.
+
+  Args:
+    path: of the file, or one of `names`.
 
   Raises:
     OSError: the file is missing or cannot be read.
     ValueError: in one line that begins with the file, what is wrong.
   """
   name = files.expand(path)
-  content = files.read_bounded(name, MAX_BYTES)
+  place = _place(name)
+  content = files.read_bounded(place, MAX_BYTES)
   try:
-    robot = _parse(content, pathlib.Path(name).absolute())
+    robot = _parse(content, place)
     # Errors of the model are found here, and not hours later.
     assert robot.derived
   except yaml_lines.LineError as error:
@@ -242,14 +271,32 @@ def load(path: str | os.PathLike[str]) -> Robot:
   return robot
 
 
+def _place(name: str) -> pathlib.Path:
+  """Returns the place of a robot's file, from the file or a shipped name."""
+  if name == 'mini_biped':
+    return resources.path('xml', 'mini_biped.yaml')
+  if name in names():
+    return resources.path('xml', f'{_SHIPPED}/{name}.yaml')
+  place = pathlib.Path(name).absolute()
+  if _NAME.fullmatch(name) and not place.exists():
+    raise FileNotFoundError(
+      f'no robot named {name!r}, and no such file; there are '
+      f'{", ".join(names())}, and files of yours.'
+    )
+  return place
+
+
 def from_dict(values: Mapping[str, Any]) -> Robot:
   """Returns the robot of a `to_dict`.
 
   Raises:
-    ValueError: the values are those of no robot, or their hash is another.
+    ValueError: the values are those of no robot, or their hash is another; or
+      its model is in a package that is not installed, or has another by now.
   """
   try:
     declaration = config.build(Declaration, values['declaration'])
+    if robot_files.is_packaged(declaration.model):
+      return _installed(declaration, values['digest'])
     model = robot_files.Model(
       str(values['model']),
       {
@@ -268,6 +315,19 @@ def from_dict(values: Mapping[str, Any]) -> Robot:
   return robot
 
 
+def _installed(declaration: Declaration, digest: str) -> Robot:
+  """Returns a robot with the model of an installed package."""
+  nowhere = pathlib.Path()  # The package has all of the files.
+  model = robot_files.read(nowhere, declaration.model, declaration.trunk)
+  robot = Robot(declaration, model)
+  if robot.digest != digest:
+    raise ValueError(
+      f'its model {declaration.model} is not that of its hash: another version '
+      'of the package is installed'
+    )
+  return robot
+
+
 @functools.cache
 def mini_biped() -> Robot:
   """Returns the robot of `xml/mini_biped.yaml`."""
@@ -276,7 +336,7 @@ def mini_biped() -> Robot:
 
 
 def find(robot: Robot | str | os.PathLike[str] | None) -> Robot:
-  """Returns a robot, that of a file, or the mini biped for None."""
+  """Returns a robot, that of a file or name, or the mini biped for None."""
   if robot is None:
     return mini_biped()
   return robot if isinstance(robot, Robot) else load(robot)

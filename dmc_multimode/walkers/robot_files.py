@@ -1,12 +1,13 @@
 """The files of a robot: read from one folder, bounded, and made one model.
 
-A user's model is data. It is read from the folder of its declaration alone, no
-larger than a robot has to be; whatever makes a small file a large model, or
-loads code, is refused. What belongs to a scene and not to a robot (options,
-keyframes, floors, lights and cameras of the world) is left out: arenas and
-tasks have their own.
+A user's model is data. It is read from one folder alone, that of its
+declaration or of an installed package, no larger than a robot has to be;
+whatever makes a small file a large model, or loads code, is refused. What
+belongs to a scene and not to a robot (options, keyframes, floors, lights and
+cameras of the world) is left out: arenas and tasks have their own.
 """
 
+import importlib.util
 import pathlib
 import re
 from typing import Iterator, NamedTuple
@@ -16,6 +17,8 @@ from dmc_multimode.utils import files
 
 MAX_MODEL_BYTES = 2_000_000  # Of one MJCF file.
 MAX_ASSET_BYTES = 16 << 20  # Of all meshes and textures together.
+MAX_PACKAGED_BYTES = 64 << 20  # Likewise, of a package's model.
+PACKAGE = 'package:'  # In the name of a model: PACKAGE, its name, /, a path.
 _MAX_FILES = 64
 _MAX_ELEMENTS, _MAX_DEPTH = 5000, 100  # Of the MJCF, and its nesting.
 _MAX_TEXTURE = 4096  # Pixels: of the sides of a texture that MuJoCo draws.
@@ -33,6 +36,7 @@ _KEPT = (
 )
 # Of the world in the file, but not of the robot.
 _SCENERY = ('geom', 'site', 'light', 'camera')
+_PACKAGE_NAME = re.compile('[A-Za-z_][A-Za-z0-9_]*')
 _NOT_FINITE = re.compile(r'[-+]?(nan|inf|infinity)', re.IGNORECASE)
 _REFUSED = {
   'attach': 'names another model',
@@ -70,16 +74,21 @@ def read(folder: pathlib.Path, name: str, trunk: str) -> Model:
   """Reads a robot's model.
 
   Args:
-    folder: that may be read.
-    name: of the MJCF file in it.
+    folder: of the declaration; it alone may be read, or the package that the
+      name says.
+    name: of the MJCF file in it; its meshes are named from where it is.
     trunk: name of the body that carries the robot.
 
   Raises:
     ValueError: in one line, a file is missing, outside the folder, too large,
-      or not a robot's model.
+      or not a robot's model; or the package is not installed.
   """
-  reader = _Reader(folder)
-  root = reader.parse(name)
+  limit = MAX_ASSET_BYTES
+  if is_packaged(name):
+    package, _, name = name.removeprefix(PACKAGE).partition('/')
+    folder, limit = _package_folder(package), MAX_PACKAGED_BYTES
+  reader = _Reader(folder, limit)
+  root = reader.open(name)
   reader.include(root)
   _check_elements(root)
   assets = reader.read_assets(root)
@@ -87,6 +96,24 @@ def read(folder: pathlib.Path, name: str, trunk: str) -> Model:
     root.remove(section)
   _leave_scenery(root, trunk)
   return Model(ElementTree.tostring(root, encoding='unicode'), assets)
+
+
+def is_packaged(name: str) -> bool:
+  """Returns whether the model of a name is in an installed package."""
+  return name.startswith(PACKAGE)
+
+
+def _package_folder(name: str) -> pathlib.Path:
+  """Returns the folder of an installed package, which is not imported."""
+  if not _PACKAGE_NAME.fullmatch(name):
+    raise ValueError(f'{PACKAGE}{name!r:.80} names no package.')
+  spec = importlib.util.find_spec(name)
+  if spec is None or not spec.submodule_search_locations:
+    raise ValueError(
+      f'the package {name} is not installed; the robots that come with '
+      'dmc_multimode need: pip install "dmc_multimode[robots]".'
+    )
+  return pathlib.Path(list(spec.submodule_search_locations)[0])
 
 
 def check(model: Model) -> None:
@@ -125,14 +152,20 @@ def _parsed(text: str, what: str) -> ElementTree.Element:
 class _Reader:
   """Reads the files of one folder, each once."""
 
-  def __init__(self, folder: pathlib.Path):
-    """Reads nothing yet."""
-    self._folder = folder.resolve()
+  def __init__(self, folder: pathlib.Path, limit: int):
+    """Reads nothing yet.
+
+    Args:
+      folder: that may be read.
+      limit: bytes of all assets together.
+    """
+    self._folder = self._base = folder.resolve()
+    self._limit = limit
     self._seen: set[pathlib.Path] = set()
 
   def _content(self, name: str, kind: str, limit: int) -> bytes:
     """Returns a file's content; `kind` is for the errors."""
-    path = (self._folder / name).resolve()
+    path = (self._base / name).resolve()
     if not path.is_relative_to(self._folder):
       raise ValueError(
         f'{kind} {name!r:.80} is outside the folder of the robot.'
@@ -149,6 +182,12 @@ class _Reader:
         f'{kind} {name!r:.80} is too large: {limit:,} bytes are the most.'
       ) from None
 
+  def open(self, name: str) -> ElementTree.Element:
+    """Returns the root of the robot's MJCF, beside which its files are."""
+    root = self.parse(name)
+    self._base = (self._folder / name).parent.resolve()
+    return root
+
   def parse(self, name: str) -> ElementTree.Element:
     """Returns the root of an MJCF file."""
     content = self._content(name, 'the model', MAX_MODEL_BYTES)
@@ -163,7 +202,7 @@ class _Reader:
     for parent in list(root.iter()):
       for child in [part for part in parent if part.tag == 'include']:
         name = child.get('file', '')
-        path = (self._folder / name).resolve()
+        path = (self._base / name).resolve()
         if path in self._seen:
           raise ValueError(f'the model includes {name!r:.80} twice.')
         included = self.parse(name)
@@ -182,7 +221,7 @@ class _Reader:
         if value is not None:
           folders[option] = value
     found: dict[str, bytes] = {}
-    rest = MAX_ASSET_BYTES
+    rest = self._limit
     for element, attribute in _files(root):
       places = _FOLDERS.get(element.tag, ())
       below = next((folders[place] for place in places if place in folders), '')
@@ -196,7 +235,7 @@ class _Reader:
       name = str(file.name)
       if found.setdefault(name, content) != content:
         raise ValueError(f'two files are named {name!r:.80}: rename one.')
-      rest = MAX_ASSET_BYTES - sum(map(len, found.values()))
+      rest = self._limit - sum(map(len, found.values()))
       element.set(attribute, name)
     return found
 

@@ -9,8 +9,10 @@ from dm_control.locomotion.walkers import legacy_base
 import mujoco
 import numpy as np
 
+from dmc_multimode.walkers import extents
 from dmc_multimode.walkers import robot as robot_lib
 
+PREFIX = 'walker/'  # Of the names of a robot in its arena.
 _PLACE = ('pos', 'quat', 'axisangle', 'euler', 'xyaxes', 'zaxis')
 _SHAPES = {  # Of feet that are geoms, and of their sites.
   mujoco.mjtGeom.mjGEOM_SPHERE: 'sphere',
@@ -18,6 +20,12 @@ _SHAPES = {  # Of feet that are geoms, and of their sites.
   mujoco.mjtGeom.mjGEOM_ELLIPSOID: 'ellipsoid',
   mujoco.mjtGeom.mjGEOM_CYLINDER: 'cylinder',
   mujoco.mjtGeom.mjGEOM_BOX: 'box',
+}
+# Views of robots that have none of these names: their places from the trunk, in
+# metres of the mini biped, and their x and y axes.
+_CAMERAS = {
+  'side': ([0.0, -2.4, 0.35], [1.0, 0.0, 0.0, 0.0, 0.12, 1.0]),
+  'front': ([2.2, -0.9, 0.5], [0.38, 0.92, 0.0, -0.18, 0.07, 1.0]),
 }
 _MARGIN = 0.005  # Metres by which a touch site is larger than its geom.
 
@@ -71,6 +79,20 @@ class RobotWalker(legacy_base.Walker):
       bounds = robot.derived.action_bounds.T.tolist()
       for actuator, bound in zip(self.actuators, bounds, strict=True):
         actuator.ctrlrange = bound
+      self._add_cameras()
+
+  def _add_cameras(self) -> None:
+    """Adds the cameras that follow the robot, unless it has them."""
+    for name, (place, axes) in _CAMERAS.items():
+      if self._mjcf_root.find('camera', name) is None:
+        self.root_body.add(
+          'camera',
+          name=name,
+          mode='trackcom',
+          pos=self.robot.size * np.array(place),
+          xyaxes=axes,
+          fovy=45,
+        )
 
   def _check_names(self) -> None:
     """Raises ValueError unless the declared joints are those of the model."""
@@ -91,9 +113,12 @@ class RobotWalker(legacy_base.Walker):
         f'joints must be all of the model, in its order: {reason}'
         f'it has {", ".join(found)}.'
       )
+    kinds = ('site', 'geom', 'body')
     for foot in declared.feet:
-      if not (root.find('site', foot) or root.find('geom', foot)):
-        raise ValueError(f'the foot {foot!r} is neither a site nor a geom.')
+      if all(root.find(kind, foot) is None for kind in kinds):
+        raise ValueError(
+          f'the foot {foot!r} is neither a site nor a geom nor a body.'
+        )
 
   def _free_trunk(self) -> None:
     """Leaves the root joint and the place of the trunk to arenas."""
@@ -161,12 +186,15 @@ class RobotWalker(legacy_base.Walker):
     Those that the model has in this order are left; others are made.
     """
     root, feet = self._mjcf_root, self.robot.declaration.feet
-    geoms = [foot for foot in feet if root.find('site', foot) is None]
-    if geoms:
+    others = [foot for foot in feet if root.find('site', foot) is None]
+    if others:
       # Compiled, for much of a shape may be that of a class.
       model = compile_model(root)
-      for foot in geoms:
-        self._add_site(root.find('geom', foot), model.geom(foot))
+      for foot in others:
+        if root.find('geom', foot) is not None:
+          self._add_site(root.find('geom', foot), model.geom(foot))
+        else:
+          self._add_box(root.find('body', foot), model)
     sites = [root.find('site', foot) for foot in feet]
     for site in sites:
       if site.parent.name is None:  # dm_control's end effectors have names.
@@ -196,6 +224,28 @@ class RobotWalker(legacy_base.Walker):
       size=used,
       pos=compiled.pos,
       quat=compiled.quat,
+      group=4,
+    )
+
+  def _add_box(self, body: Any, model: mujoco.MjModel) -> None:
+    """Adds a site of a body's name, around all that collides of it."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    index = model.body(body.name).id
+    own = (model.geom_bodyid == index) & extents.collides(model)
+    if not own.any():
+      raise ValueError(
+        f'the foot {body.name!r} touches nothing: no geom of it collides.'
+      )
+    axes = data.xmat[index].reshape(3, 3).T
+    geoms = np.flatnonzero(own).tolist()
+    low, high = extents.bounds(model, data, geoms, axes)
+    body.add(
+      'site',
+      name=body.name,
+      type='box',
+      size=(high - low) / 2 + _MARGIN,
+      pos=(low + high) / 2 - axes @ data.xpos[index],
       group=4,
     )
 
@@ -309,6 +359,17 @@ def compile_alone(walker: RobotWalker) -> mujoco.MjModel:
   root = arena.mjcf_model
   root.option.noslip_iterations = 0
   return compile_model(root)
+
+
+def compile_fixed(walker: RobotWalker) -> mujoco.MjModel:
+  """Compiles a robot whose trunk is fixed at the origin.
+
+  Raises:
+    ValueError: in one line, MuJoCo refuses the model.
+  """
+  arena = composer.Arena()
+  arena.attach(walker)
+  return compile_model(arena.mjcf_model)
 
 
 def compile_model(root: mjcf.RootElement) -> mujoco.MjModel:

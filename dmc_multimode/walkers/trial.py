@@ -54,7 +54,7 @@ def drop(
   Raises:
     ValueError: the model is none of a robot.
   """
-  model = _on_ground(robot)
+  model = on_ground(robot)
   seconds = seconds or STANDING[robot.num_feet]
   data, derived = mujoco.MjData(model), robot.derived
   start = height + derived.stand_height
@@ -89,8 +89,12 @@ def _sensors(robot: robot_lib.Robot) -> list[str]:
   return [derivation.PREFIX + sensor.name for sensor in walker.foot_sensors]
 
 
-def _on_ground(robot: robot_lib.Robot) -> mujoco.MjModel:
-  """Compiles a robot on a plane at a height of 0."""
+def on_ground(robot: robot_lib.Robot) -> mujoco.MjModel:
+  """Compiles a robot on a plane at a height of 0.
+
+  Raises:
+    ValueError: the model is none of a robot.
+  """
   arena, walker = composer.Arena(), robot_walker.RobotWalker(robot)
   walker.create_root_joints(arena.attach(walker))
   root = arena.mjcf_model

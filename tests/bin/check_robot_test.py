@@ -48,7 +48,8 @@ def test_a_bad_robot(tmp_path: pathlib.Path) -> None:
   done = _check(path)
   assert (done.returncode, done.stdout) == (2, '')
   assert done.stderr == (
-    f"error: {path}: four_legs: the foot 'toe' is neither a site nor a geom.\n"
+    f"error: {path}: four_legs: the foot 'toe' is neither a site nor a geom "
+    'nor a body.\n'
   )
   # Its servos carry it in the standing pose, yet not when it sways.
   text = (_ROBOTS / 'four_legs.yaml').read_text()

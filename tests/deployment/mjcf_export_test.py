@@ -109,6 +109,17 @@ def test_rejects(
   assert not (tmp_path / 'new').exists()
 
 
+def test_another_robot(tmp_path: pathlib.Path) -> None:
+  folder = pathlib.Path(__file__).parents[1] / 'robots'
+  path = deployment.write_mjcf(tmp_path, robot=folder / 'four_legs.yaml')
+  assert path.name == 'four_legs_flat.xml'
+  model, data = _load(path)
+  height = data.qpos[2]
+  mujoco.mj_step(model, data, nstep=400)
+  assert data.body('base').xmat[8] > 0.99
+  assert data.qpos[2] == pytest.approx(height, abs=0.003)
+
+
 def test_mujoco_warp_takes_it(tmp_path: pathlib.Path) -> None:
   warp = pytest.importorskip('mujoco_warp')
   model, _ = _load(deployment.write_mjcf(tmp_path, arena='gap_block'))

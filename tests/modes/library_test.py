@@ -120,6 +120,26 @@ def test_resolve() -> None:
     library.resolve('idle,fly')
 
 
+def test_modes_of_four_feet() -> None:
+  motions = {m.name: m for m in library.resolve('quadruped')}
+  assert list(motions) == ['stand', 'trot_forward', 'pronk_forward']
+  known = library.four_footed_modes()
+  for motion in known.values():
+    assert motion.num_feet == 4 and motion.mirror == motion.name
+  # Diagonal feet, feet of a side, and front or hind feet move together.
+  for name, (one, other) in {
+    'trot_forward': (0, 3),
+    'pace_forward': (0, 2),
+    'bound_forward': (0, 1),
+  }.items():
+    contacts = known[name].contacts
+    assert contacts is not None
+    np.testing.assert_array_equal(contacts[:, one], contacts[:, other])
+    assert (contacts.min(axis=1) < contacts.max(axis=1)).any()
+  mode_set = library.mode_set('quadruped')
+  np.testing.assert_array_equal(mode_set.latents, np.eye(3))
+
+
 def test_motions_of_a_robot_of_another_height() -> None:
   """Lengths in heights h, times in sqrt(h / g): the Froude number is kept."""
   same = library.resolve('pi_all')

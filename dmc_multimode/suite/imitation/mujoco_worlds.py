@@ -4,7 +4,7 @@ The model is compiled from the arena and walker of a Composer task. Each world
 has a pool of mocap boxes, which are the segments of its ground.
 """
 
-from typing import Mapping, Sequence
+from typing import Any, Mapping, Sequence
 
 import mujoco
 from mujoco import batch as mujoco_batch
@@ -209,7 +209,11 @@ def compile_model(task: composer_task.Imitation) -> mujoco.MjModel:
   spec = make_spec(task)
   sites = {sensor.objname for sensor in spec.sensors}
   unseen = [site for site in spec.sites if site.name not in sites]
-  unseen += [geom for geom in spec.geoms if not geom.contype | geom.conaffinity]
+  unseen += [
+    geom
+    for geom in spec.geoms
+    if not geom.contype | geom.conaffinity and not _weighs(geom)
+  ]
   for element in [*unseen, *spec.cameras, *spec.lights]:
     spec.delete(element)
   model = spec.compile()
@@ -220,3 +224,10 @@ def compile_model(task: composer_task.Imitation) -> mujoco.MjModel:
   if feet != list(range(len(feet))):
     raise ValueError('The foot sensors are not where they are expected.')
   return model
+
+
+def _weighs(geom: Any) -> bool:
+  """Returns whether a geom gives its body mass, which has no inertia else."""
+  if geom.parent.explicitinertial:
+    return False
+  return bool(geom.mass > 0 if np.isfinite(geom.mass) else geom.density > 0)

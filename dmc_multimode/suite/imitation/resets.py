@@ -1,7 +1,8 @@
 """The initial state of a robot: on its reference, with noise. No engine.
 
-The legs of the mini biped are where its gait has them, by its kinematics. Any
-other robot begins in its standing pose.
+The legs of robots that begin on their reference are where the gait has them: by
+the mini biped's kinematics, or by the tables of `walkers.legs`. Without these,
+which take the extra `robots`, others begin in their standing pose.
 """
 
 import numpy as np
@@ -11,6 +12,7 @@ from dmc_multimode.suite.imitation import commands
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.utils import constants
 from dmc_multimode.walkers import kinematics
+from dmc_multimode.walkers import legs as legs_lib
 
 _SLOWEST_START = 0.5  # Share of the reference's velocity.
 # Metres ahead of and behind the trunk where feet may be, of the mini biped.
@@ -54,9 +56,11 @@ def initial_state(
     )
     velocity[:, 1] += pace * sway
   else:
-    position[:, 2] = np.maximum(position[:, 2], clear + robot.stand_height)
-    angles = np.tile(robot.derived.pose, (count, 1))
-    rates = np.zeros_like(angles)
+    legs = legs_lib.find(robot) if on_reference.any() else None
+    angles, rates, sway = _placed_legs(
+      legs, tracker, config, ids, position, velocity, clear, on_reference
+    )
+    velocity[:, 1] += pace * sway
   tilt = config.tilt_noise * random_state.standard_normal((count, 2))
   angles += config.joint_noise * random_state.standard_normal(angles.shape)
   qpos = np.concatenate([position, _tilted(orientation, tilt), angles], axis=1)
@@ -103,6 +107,58 @@ def _mini_biped_legs(
     velocity[:, 0], height, climb, swinging, time, length
   )
   return angles, rates, kinematics.sway(swinging, time, length)
+
+
+def _placed_legs(
+  legs: legs_lib.Legs | None,
+  tracker: commands.ModeTracker,
+  config: task_config.ImitationConfig,
+  ids: np.ndarray,
+  position: np.ndarray,
+  velocity: np.ndarray,
+  clear: np.ndarray,
+  on_reference: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+  """Puts the legs of a declared robot where their modes have them.
+
+  Robots that are not on their reference, or whose legs are unknown, get the
+  standing pose.
+
+  Args:
+    legs: of the robot, if they are known.
+    tracker, ids, position, velocity, clear, on_reference: as for
+      `_mini_biped_legs`.
+    config: of the task.
+
+  Returns:
+    As `_mini_biped_legs`, [N, J], [N, J] and [N].
+  """
+  robot, count = config.robot, len(ids)
+  lowest = np.full(count, robot.stand_height)
+  placed = on_reference if legs else np.zeros(count, dtype=bool)
+  airborne = tracker.airborne(ids) | ~placed
+  if legs:
+    lowest = np.where(airborne, lowest, legs.heights[0])
+  position[:, 2] = np.maximum(position[:, 2], clear + lowest)
+  angles = np.tile(robot.derived.pose, (count, 1))
+  rates, sway = np.zeros_like(angles), np.zeros(count)
+  if not legs:
+    return angles, rates, sway
+  swinging, time, length = tracker.swing_timing(ids)
+  swinging &= placed[:, None]
+  forward, lift, forward_rate, lift_rate = kinematics.stepping(
+    velocity[:, 0], swinging, time, length, kinematics.LIFT * robot.size
+  )
+  height = np.where(airborne, robot.stand_height, position[:, 2] - clear)
+  climb = np.where(airborne, 0.0, velocity[:, 2])
+  found = legs.place(
+    forward, height[:, None] - lift, forward_rate, climb[:, None] - lift_rate
+  )
+  angles[placed], rates[placed] = found[0][placed], found[1][placed]
+  if robot.num_feet == 2:
+    half = robot.derived.stance_width / 2
+    sway = kinematics.sway(swinging, time, length, half, robot.stand_height)
+  return angles, rates, sway
 
 
 def lift_of_ground(

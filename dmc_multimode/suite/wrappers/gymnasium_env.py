@@ -12,6 +12,10 @@ module before it, `MODULE:dmc_multimode/walk_forward-v0`.
 Many environments of an imitation task are one batch of worlds, stepped in one
 call (see `gymnasium_vector_env`); `make_vec` with `vectorization_mode='sync'`
 or `'async'` makes as many single ones instead.
+
+Modes of four feet are registered as well, and take a robot:
+
+    gymnasium.make('dmc_multimode/trot_forward-v0', robot='go1')
 """
 
 import copy
@@ -48,7 +52,7 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, Any]):
 
   Observations are flat, float32 [D], their parts in the order of the task's
   `observation_spec`. Actions are the task's: joint targets in radians, float32
-  [10], or the index of a mode.
+  [J], or the index of a mode.
   """
 
   metadata: dict[str, Any] = {'render_modes': list(frames.View.MODES)}
@@ -234,6 +238,7 @@ def make(
   render_mode: str | None = None,
   time_limit: float | None = None,
   task_kwargs: Mapping[str, Any] | None = None,
+  robot: multimode_biped.RobotLike = None,
   **kwargs: Any,
 ) -> GymnasiumEnv:
   """Loads a task of the suite; the entry point of Gymnasium's registry.
@@ -243,15 +248,28 @@ def make(
     render_mode: None or 'rgb_array'.
     time_limit: length of an episode, seconds; the task's own by default.
     task_kwargs: further arguments of the task's factory, such as `policy`.
+    robot: declared robot, its file or its name, of modes and sets; the mini
+      biped by default.
     **kwargs: further arguments of `GymnasiumEnv`.
 
   Raises:
-    ValueError: the task or the render mode is unknown.
+    ValueError: the task or the render mode is unknown, or the robot is invalid.
   """
-  environment = suite.load(
-    suite.DOMAIN, task, {'time_limit': time_limit, **(task_kwargs or {})}
-  )
+  environment = load(task, time_limit, task_kwargs, robot)
   return GymnasiumEnv(environment, render_mode, **kwargs)
+
+
+def load(
+  task: str,
+  time_limit: float | None,
+  task_kwargs: Mapping[str, Any] | None,
+  robot: multimode_biped.RobotLike,
+) -> Any:
+  """Loads a task of the suite; see `make`."""
+  kwargs = {'time_limit': time_limit, **(task_kwargs or {})}
+  if robot is not None:
+    kwargs['robot'] = robot
+  return suite.load(suite.DOMAIN, task, kwargs)
 
 
 def environment_id(task: str) -> str:
@@ -262,7 +280,8 @@ def environment_id(task: str) -> str:
 def register() -> None:
   """Puts all tasks into Gymnasium's registry; doing so again is harmless."""
   reaching = multimode_biped.SUITE.tagged('reaching')
-  for _, task in suite.ALL_TASKS:
+  names = [*(task for _, task in suite.ALL_TASKS), *suite.FOUR_FOOTED]
+  for task in names:
     if environment_id(task) not in gymnasium.registry:
       vector = None if task in reaching else _VECTOR_ENTRY_POINT
       gymnasium.register(

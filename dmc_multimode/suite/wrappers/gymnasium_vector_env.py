@@ -15,7 +15,7 @@ from dm_control import mjcf
 import gymnasium
 import numpy as np
 
-from dmc_multimode import suite
+from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import composer_task
 from dmc_multimode.suite.wrappers import frames
@@ -29,7 +29,7 @@ class BatchedVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
   """The worlds of one `BatchedImitation` behind Gymnasium's vector interface.
 
   Observations are float32 [B, D], actions joint targets in radians, float32
-  [B, 10]. What becomes of a world whose episode ends is `autoreset_mode`:
+  [B, J]. What becomes of a world whose episode ends is `autoreset_mode`:
 
     SameStep: it is reset in the same step. `final_obs` of the infos, float32
       [B, D], is what the step led to: the last observations of the worlds that
@@ -281,6 +281,7 @@ def make_vector(
   time_limit: float | None = None,
   task_kwargs: Mapping[str, Any] | None = None,
   max_episode_steps: int | None = None,
+  robot: multimode_biped.RobotLike = None,
   **kwargs: Any,
 ) -> BatchedVectorEnv:
   """Loads many worlds of a task; the vector entry point of the registry.
@@ -292,6 +293,7 @@ def make_vector(
     task_kwargs: further arguments of the task's factory, such as `config`.
     max_episode_steps: ends episodes after so many steps, as Gymnasium's
       `TimeLimit` does for one world; None and -1 leave the time limit alone.
+    robot: declared robot, its file or its name; the mini biped by default.
     **kwargs: further arguments of `BatchedVectorEnv`, such as
       `autoreset_mode`.
 
@@ -299,8 +301,7 @@ def make_vector(
     OSError: there is no OpenGL here to render with.
     ValueError: the task is unknown, or an argument unknown or out of bounds.
   """
-  kwargs_of_task = {'time_limit': time_limit, **(task_kwargs or {})}
-  environment: Any = suite.load(suite.DOMAIN, task, kwargs_of_task)
+  environment = gymnasium_env.load(task, time_limit, task_kwargs, robot)
   built: composer_task.Imitation = environment.task
   if max_episode_steps not in (None, -1):
     config = built.config

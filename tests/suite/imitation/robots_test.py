@@ -5,9 +5,11 @@ import pathlib
 import re
 from typing import Any, Callable
 
+import mujoco
 import numpy as np
 import pytest
 
+from dmc_multimode import suite
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set as mode_set_lib
@@ -20,10 +22,12 @@ from dmc_multimode.suite.imitation import disturbances
 from dmc_multimode.suite.imitation import episodes
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import motion_costs
+from dmc_multimode.suite.imitation import mujoco_worlds
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.suite.imitation import symmetry
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import schedule as schedules
+from dmc_multimode.walkers import legs
 from dmc_multimode.walkers import robot as robot_lib
 
 _FOLDER = pathlib.Path(__file__).parents[2] / 'robots'
@@ -82,6 +86,54 @@ def test_configuration_follows_the_robot(robot: robot_lib.Robot) -> None:
   longer = dataclasses.replace(base, physics_timestep=0.0075)
   # The longest that divides the robot's 20 ms.
   assert task_config.for_robot(longer, robot).physics_timestep == 0.02 / 3
+
+
+def test_tasks_of_four_feet_take_a_robot(robot: robot_lib.Robot) -> None:
+  env = suite.load(suite.DOMAIN, 'trot_forward', {'robot': robot, 'random': 0})
+  assert env.reset().observation['joints_pos'].shape == (12,)
+  with pytest.raises(ValueError, match='contacts of 4 feet, and the robot has'):
+    suite.load(suite.DOMAIN, 'quadruped')
+
+
+def test_visual_geoms_that_weigh_stay(robot: robot_lib.Robot) -> None:
+  """Trainings need them, as bodies have no inertia of their own."""
+  eye = '<geom size=".02" mass=".5" contype="0" conaffinity="0"/>'
+  xml = robot.model.xml.replace('<freejoint />', f'<freejoint />{eye}')
+  model = robot.model._replace(xml=xml)
+  heavier = robot_lib.Robot(robot.declaration, model)
+  masses = [
+    mujoco_worlds.compile_model(
+      multimode_biped.make_task(
+        'quadruped', config=multimode_biped.config_for(each)
+      )
+    ).body_mass.sum()
+    for each in (robot, heavier)
+  ]
+  assert masses[1] - masses[0] == pytest.approx(0.5)
+
+
+def test_starts_mid_stride(robot: robot_lib.Robot) -> None:
+  """Feet that stand are on the ground, those that swing over it."""
+  pytest.importorskip('mink')
+  config = multimode_biped.config_for(robot)
+  sure = dataclasses.replace(config.events, reference_starts=1.0)
+  config = dataclasses.replace(
+    config, events=sure, joint_noise=0, tilt_noise=0, velocity_noise=0
+  )
+  task = multimode_biped.make_task('trot_forward', config=config)
+  worlds = batched_env.BatchedImitation(task, 32, 0, 1)
+  worlds.reset()
+  model = worlds.physics.model
+  data, soles = mujoco.MjData(model), []
+  for qpos in worlds.physics.qpos:
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    soles.append(data.site_xpos[model.sensor_objid[:4], 2])
+  heights = np.array(soles) - robot.derived.sole_depth
+  contact = worlds.core.tracker.reference().contact > 0
+  assert np.abs(heights[contact]).max() < 0.003
+  assert heights[~contact].min() > -0.003 and heights.max() > 0.015
+  assert np.abs(worlds.physics.qvel[:, 6:]).max() > 1
 
 
 def test_configuration_round_trip(robot: robot_lib.Robot) -> None:
@@ -146,9 +198,12 @@ def test_it_stands_and_counts_its_feet(
   np.testing.assert_allclose(worlds.measure()['reference_contact'], 1.0)
 
 
-def test_starts_are_in_the_standing_pose(
-  robot: robot_lib.Robot, modes: mode_set_lib.ModeSet
+def test_starts_without_mink_are_in_the_standing_pose(
+  robot: robot_lib.Robot,
+  modes: mode_set_lib.ModeSet,
+  monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+  monkeypatch.setattr(legs, 'find', lambda robot: None)
   plan = schedule.single(np.ones(64, dtype=np.int64))
   started = events.TrainingEvents(reference_starts=1.0)
   task = _task(robot, modes, plan, events=started)

@@ -3,6 +3,7 @@
 import functools
 import importlib
 import math
+import pathlib
 import sys
 from typing import Any
 from unittest import mock
@@ -62,6 +63,20 @@ def test_every_task_is_registered_once() -> None:
     warnings.simplefilter('error')
     gymnasium_env.register()
   assert dict(gymnasium.registry) == before
+
+
+def test_another_robot() -> None:
+  file = pathlib.Path(__file__).parents[2] / 'robots' / 'four_legs.yaml'
+  name = 'dmc_multimode/trot_forward-v0'
+  one = gymnasium.make(name, robot=file)
+  many = gymnasium.make_vec(name, num_envs=3, robot=file)
+  observation, _ = one.reset(seed=0)
+  observations, _ = many.reset(seed=0)
+  assert observations.shape == (3, *observation.shape)
+  assert many.single_action_space == one.action_space
+  assert one.action_space.shape == (12,)
+  one.close()
+  many.close()
 
 
 def test_without_gymnasium_one_line_says_what_to_install() -> None:
