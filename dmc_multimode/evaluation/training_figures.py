@@ -2,6 +2,7 @@
 
 import csv
 import math
+import os
 import pathlib
 from typing import Mapping, Sequence
 
@@ -9,6 +10,7 @@ import matplotlib.figure
 import numpy as np
 
 from dmc_multimode.evaluation import figures
+from dmc_multimode.utils import files
 
 METRICS_FILE = 'metrics.csv'
 _POINTS = 400  # Of a line.
@@ -18,7 +20,7 @@ _MILLION = 1e6
 Curves = Mapping[str, np.ndarray]
 
 
-def read(path: pathlib.Path) -> Curves:
+def read(path: str | os.PathLike[str]) -> Curves:
   """Returns the columns of a run's metrics by name, [N] each.
 
   Args:
@@ -28,6 +30,7 @@ def read(path: pathlib.Path) -> Curves:
     FileNotFoundError: there is no such file.
     ValueError: the file is not a table of numbers by step.
   """
+  path = pathlib.Path(files.expand(path))
   path = path / METRICS_FILE if path.is_dir() else path
   if not path.is_file():
     raise FileNotFoundError(f'{path} does not exist.')
@@ -36,6 +39,10 @@ def read(path: pathlib.Path) -> Curves:
       rows = list(csv.DictReader(file))
   except (csv.Error, UnicodeDecodeError) as error:
     raise ValueError(f'{path} is damaged: {error}.') from error
+  if not rows and path.stat().st_size == 0:
+    raise ValueError(
+      f'{path} has no row yet: the first comes after a few iterations.'
+    )
   if not rows or not {'steps', 'mra_modes', 'mra_transitions'} <= set(rows[0]):
     raise ValueError(f'{path} does not hold the metrics of a run.')
   try:

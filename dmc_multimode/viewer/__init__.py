@@ -20,6 +20,8 @@ if TYPE_CHECKING:
   from dmc_multimode.viewer.rollout import RolloutConfig as RolloutConfig
   from dmc_multimode.viewer.serving import view as view
   from dmc_multimode.viewer.session import LiveSession as LiveSession
+  from dmc_multimode.viewer.tracing import Trace as Trace
+  from dmc_multimode.viewer.tracing import trace as trace
 
 _HOMES = {
   'Camera': 'camera',
@@ -28,9 +30,11 @@ _HOMES = {
   'RecordingConfig': 'recording',
   'Rollout': 'rollout',
   'RolloutConfig': 'rollout',
+  'Trace': 'tracing',
   'choose_backend': 'gl',
   'film': 'recording',
   'record': 'recording',
+  'trace': 'tracing',
   'view': 'serving',
 }
 __all__ = [
@@ -40,9 +44,11 @@ __all__ = [
   'RecordingConfig',
   'Rollout',
   'RolloutConfig',
+  'Trace',
   'choose_backend',
   'film',
   'record',
+  'trace',
   'view',
 ]
 

@@ -28,3 +28,12 @@ def test_figure() -> None:
   np.testing.assert_array_equal(heights, path[:, 2])
   np.testing.assert_array_equal(side.lines[0].get_data(), path[:, [0, 2]].T)
   assert len(side.collections) == 2  # Both sides of the gap.
+  assert [text.get_text() for text in side.texts] == ['gap\n0.45 m']
+  legend = [text.get_text() for text in side.get_legend().get_texts()]
+  assert legend == ['ground', 'path of the trunk', 'start', 'end'] + [
+    'goal of the trunk'
+  ]
+  legend = [text.get_text() for text in modes.get_legend().get_texts()]
+  assert legend == ['commanded mode', 'push'] + ['ground under the trunk'] + [
+    'trunk'
+  ]
