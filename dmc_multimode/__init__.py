@@ -53,7 +53,7 @@ if TYPE_CHECKING:
   from dmc_multimode.viewer.tracing import trace
   from dmc_multimode.walkers.robot import Robot
 
-__version__ = '0.1.0'
+__version__ = '0.2.0'
 __all__ = [
   'ModeSet',
   'Policy',

@@ -131,7 +131,10 @@ def test_citation() -> None:
   setup = configparser.ConfigParser(interpolation=None)
   setup.read(_ROOT / 'setup.cfg')
   assert citation['license'] == setup['metadata']['license']
-  assert citation['version'] == dmc_multimode.__version__
+  changes = (_ROOT / 'CHANGELOG.md').read_text()
+  newest = re.search(r'^## (\S+) - ', changes, re.M)
+  assert newest is not None
+  assert citation['version'] == dmc_multimode.__version__ == newest[1]
   (paper,) = citation['references']
   assert [author['family-names'] for author in paper['authors']] == [
     'Krishna',

@@ -2,7 +2,7 @@ r"""Searches settings of a training, by Optuna (extra `sweep`).
 
   python -m dmc_multimode.bin.sweep --flagfile=flags/quickstart.flags \
     --steps=1000000 --search=ppo_learning_rate:1e-4..1e-3 \
-    --search=ppo_activation:elu|silu --trials=20 --run_dir=runs/sweep
+    --search="ppo_activation:elu|silu" --trials=20 --run_dir=runs/sweep
 
 trains 20 policies, scores each by a deterministic evaluation, and writes
 sweep.csv, sweep.txt and sweep.png into the folder, best first. All other flags

@@ -10,8 +10,8 @@ from typing import Any, TYPE_CHECKING
 from dmc_multimode.utils import lazy
 
 if TYPE_CHECKING:
+  from dmc_multimode.utils.gl import choose_backend as choose_backend
   from dmc_multimode.viewer.camera import Camera as Camera
-  from dmc_multimode.viewer.gl import choose_backend as choose_backend
   from dmc_multimode.viewer.recording import film as film
   from dmc_multimode.viewer.recording import record as record
   from dmc_multimode.viewer.recording import Recording as Recording
