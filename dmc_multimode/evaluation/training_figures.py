@@ -4,7 +4,7 @@ import csv
 import math
 import os
 import pathlib
-from typing import Mapping, Sequence
+from typing import Any, Mapping, Sequence
 
 import matplotlib.figure
 import numpy as np
@@ -72,9 +72,31 @@ def draw_returns(
         linewidth=0,
       )
     axis.set(title=title, xlabel='million environment steps', ylim=(0.0, 1.0))
+    _explain_blank(axis)
   axes[0].set_ylabel('normalised return, exploring')
   axes[0].legend()
   return drawn
+
+
+def _explain_blank(axis: Any) -> None:
+  """Says in a panel why it shows no line, if it shows none."""
+  if any(map(_is_visible, axis.lines)):
+    return
+  reason = (
+    'too short a run:\na line takes a few rows\nof its metrics'
+    if axis.lines
+    else 'a single mode:\nnothing is drawn at random'
+  )
+  axis.text(
+    0.5, 0.5, reason, ha='center', va='center', transform=axis.transAxes
+  )
+
+
+def _is_visible(line: Any) -> bool:
+  """Returns whether a line is longer than a point."""
+  x, y = np.asarray(line.get_data(), dtype=float)
+  shown = x[np.isfinite(y)]
+  return len(shown) > 1 and bool(shown[0] < shown[-1])
 
 
 def _aligned(
@@ -107,10 +129,12 @@ def draw_sampling(run: Curves) -> matplotlib.figure.Figure:
         steps / _MILLION, values, label=name.partition('->')[-1] or name
       )
     axis.set(title=title, xlabel='million environment steps', ylim=(0.0, 1.0))
+    _explain_blank(axis)
   for axis in axes.flat[len(panels) :]:
     axis.remove()
   axes[0, 0].set_ylabel('probability, running mean')
-  axes[0, 0].legend(fontsize='x-small')
+  if names:
+    axes[0, 0].legend(fontsize='x-small')
   return drawn
 
 
