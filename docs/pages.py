@@ -31,8 +31,10 @@ REFERENCE: Mapping[str, tuple[str, ...]] = {
   'modes': ('modes', 'modes.encoder'),
   'arenas': ('arenas',),
   'walkers': ('walkers',),
-  'suite': ('suite', 'suite.imitation', 'suite.reaching', 'suite.wrappers'),
-  'agents': ('agents', 'agents.ppo'),
+  'suite': ('suite', 'suite.reaching', 'suite.wrappers'),
+  'suite_imitation': ('suite.imitation',),
+  'agents': ('agents',),
+  'agents_ppo': ('agents.ppo',),
   'planner': ('planner',),
   'pretrained': ('pretrained',),
   'viewer': ('viewer',),
@@ -157,31 +159,39 @@ class _Export(NamedTuple):
 
 
 def _reference() -> dict[str, str]:
-  """Returns the pages of the reference by their names."""
-  homes: dict[str, str] = {}  # Of what has been described, its page.
-  pages = {}
-  for page, packages in REFERENCE.items():
-    parts = []
-    for package in packages:
-      full = f'{_PACKAGE}.{package}'.rstrip('.')
-      level = '#' if not parts else '##'
-      path = _ROOT.joinpath(*full.split('.'), '__init__.py')
-      tree = ast.parse(path.read_text())
-      parts.append(f'{level} {full}\n\n{ast.get_docstring(tree)}\n')
-      for export in _exports(full, tree):
-        if not export.is_module and homes.get(export.home):
-          where, name = homes[export.home]
-          link = f'{where}.md' if where != page else ''
-          parts.append(
-            f'### {full}.{export.name}\n\nThe same as '
-            f'[`{name}`]({link}#{name}).\n'
-          )
-          continue
-        name = f'{full}.{export.name}'
-        homes[export.home] = page, name
+  """Returns the pages of the reference by their names.
+
+  Each object is described once: functions of the facade there, all else in the
+  first package that exports it. Other places link to that.
+  """
+  trees: dict[str, ast.Module] = {}
+  homes: dict[str, tuple[str, str]] = {}  # Where an object is described.
+  order = [(page, each) for page, all_ in REFERENCE.items() for each in all_]
+  for page, package in [*order, order[0]]:  # Classes of the facade come last.
+    full = f'{_PACKAGE}.{package}'.rstrip('.')
+    path = _ROOT.joinpath(*full.split('.'), '__init__.py')
+    trees[full] = ast.parse(path.read_text())
+    is_first = not package and not homes
+    for export in _exports(full, trees[full]):
+      if not (is_first and export.name[0].isupper()):
+        homes.setdefault(export.home, (page, f'{full}.{export.name}'))
+  pages: dict[str, str] = {}
+  for page, package in order:
+    full = f'{_PACKAGE}.{package}'.rstrip('.')
+    level = '##' if page in pages else '#'
+    parts = [f'{level} {full}\n\n{ast.get_docstring(trees[full])}\n']
+    for export in _exports(full, trees[full]):
+      where, name = homes[export.home]
+      if name != f'{full}.{export.name}':
+        link = f'{where}.md' if where != page else ''
+        parts.append(
+          f'### {full}.{export.name}\n\nThe same as '
+          f'[`{name}`]({link}#{name}).\n'
+        )
+      else:
         form = _SUMMARY if export.is_module else _WHOLE
         parts.append(form.format(name=name))
-    pages[page] = '\n'.join(parts)
+    pages[page] = '\n'.join([pages.get(page, ''), *parts]).lstrip()
   return pages
 
 

@@ -5,9 +5,8 @@ r"""Runs an exported policy in plain MuJoCo: nothing here is of dmc_multimode.
     --sizes=distance:6 --out=out
   python examples/deploy_mujoco.py out/pi2.onnx out/mini_biped_block.xml
 
-For 20 s the robot walks, leaps, stands, walks up to the block, launches itself
-onto it and stands. A third argument delays actions by so many seconds. The
-first line also writes out/controller.py, which is imported here.
+For 20 s the robot walks, leaps, stands, walks up to the block and launches
+itself onto it. A third argument delays actions, seconds. See docs/DEPLOY.md.
 """
 
 import pathlib

@@ -11,14 +11,16 @@ minutes of trainings: it runs when --only names it.
 
 import functools
 import pathlib
+import subprocess
+import sys
 import tempfile
 from typing import Any, Callable, Iterator, Mapping, Sequence
 
 from absl import flags
 import numpy as np
 
-from benchmarks.paper import reproduce
 import dmc_multimode as dmm
+from dmc_multimode import pretrained
 from dmc_multimode import viewer
 from dmc_multimode.bin import app
 from dmc_multimode.evaluation import figures
@@ -169,10 +171,15 @@ def _plan_figure(path: pathlib.Path) -> None:
 def _command(name: str, path: pathlib.Path) -> None:
   """Runs the command that draws a picture, and takes the picture."""
   made, words = _COMMANDS[name]
+  shipped = pathlib.Path(pretrained.__file__).parent
   with tempfile.TemporaryDirectory() as folder:
-    out = pathlib.Path(folder)
-    reproduce.run(reproduce.Part(pathlib.Path(name).stem, words), out)
-    files.write(path, (out / made).read_bytes())
+    given = words.format(out=folder, shipped=shipped).split()
+    done = subprocess.run(
+      [sys.executable, '-m', *given], stdout=subprocess.DEVNULL
+    )
+    if done.returncode:
+      raise ChildProcessError(f'`{" ".join(given)}` failed.')
+    files.write(path, (pathlib.Path(folder) / made).read_bytes())
 
 
 def _tour(path: pathlib.Path) -> None:
