@@ -2,6 +2,7 @@
 
 import csv
 import pathlib
+import re
 import subprocess
 import sys
 from typing import Any
@@ -125,13 +126,8 @@ def test_two_workers_share_the_trials(tmp_path: pathlib.Path) -> None:
   ]
   texts = [worker.communicate()[0] for worker in workers]
   assert [worker.returncode for worker in workers] == [0, 0]
-  begun = [
-    int(line.split()[1].rstrip(':'))
-    for text in texts
-    for line in text.splitlines()
-    if line.startswith('trial ') and 'ppo_' in line
-  ]
-  assert sorted(begun) == [0, 1, 2, 3]  # Each by one of them.
+  begun = re.findall(r'^trial (\d+): ppo_', '\n'.join(texts), re.M)
+  assert sorted(begun) == ['0', '1', '2', '3']  # Each by one of them.
 
 
 def test_the_command_says_what_is_wrong_in_one_line(
