@@ -30,7 +30,7 @@ from dmc_multimode.utils import files
 POLICY = 'pi2'
 # Walk, leap, onto the block that launch calls for, leap on top, stand.
 SCHEDULE = 'walk_forward:2.4,leap_forward:2.4,launch:2,leap_forward:2.4,idle:2'
-_MOMENTS = (1.2, 3.0, 5.1, 7.8, 11.0)  # Seconds, one of each command.
+_MOMENTS = (1.2, 3.05, 5.45, 7.45, 11.0)  # Seconds, one of each command.
 _SIZE = 360, 270  # Pixels of a film and of a frame.
 _NOTE = 'translucent box: where the reference wants the trunk'
 
@@ -129,7 +129,8 @@ def _strip(
   path: pathlib.Path, config: viewer.RolloutConfig, moments: Sequence[float]
 ) -> None:
   """Draws frames side by side, each with its mode, its time and two heights."""
-  drawn, (axes,) = figures.empty(1, len(moments), 2.2, 2.3)
+  drawn, (axes,) = figures.empty(1, len(moments), 2.2, 2.4)
+  drawn.get_layout_engine().set(h_pad=0.1)  # Inches: titles stay whole.
   for axis, (frame, step) in zip(axes, _shots(config, moments), strict=True):
     axis.imshow(frame)
     axis.set(xticks=[], yticks=[])

@@ -124,7 +124,7 @@ def _environment(artefact: pathlib.Path, extras: str) -> pathlib.Path:
   shutil.rmtree(folder, ignore_errors=True)
   _run(sys.executable, '-m', 'venv', folder)
   python = folder / 'bin' / 'python'
-  install = [python, '-m', 'pip', 'install', '--quiet']
+  install = [str(python), '-m', 'pip', 'install', '--quiet']
   _run(*install, *_TORCH.split())  # Apart: a bare `torch` brings CUDA.
   _run(*install, f'{artefact}[{extras}]')
   return python

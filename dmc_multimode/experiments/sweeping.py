@@ -62,7 +62,7 @@ class Range(NamedTuple):
 
   @property
   def is_log(self) -> bool:
-    """Whether it is searched by its logarithm."""
+    """True if it is searched by its logarithm."""
     if self.is_choice:
       return False
     low, high = self.values
@@ -434,7 +434,7 @@ def _draw(
 
   drawn, (axes,) = figures.empty(1, len(ranges) + 1, 3.4, 3.0)
   done = [trial for trial in trials if trial.value is not None]
-  values = [trial.value for trial in done]
+  values = [float(trial.value or 0.0) for trial in done]
   for axis, each in zip(axes[:-1], ranges, strict=True):
     inputs = [trial.params[each.name] for trial in done]
     axis.plot(list(map(str, inputs)) if each.is_choice else inputs, values, 'o')
