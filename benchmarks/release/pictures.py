@@ -47,16 +47,17 @@ _COMMANDS: Mapping[str, tuple[str, str]] = {
   **{
     f'{name}_{kind}.png': (
       f'{kind}.png',
-      f'dmc_multimode.bin.evaluate --policy={name} --episodes=1 {more} '
+      f'dmc_multimode.bin.evaluate --policy={policy} --episodes=1 {more} '
       '--figures={out}',
     )
-    for name, kind, more in (
-      ('pi2', 'heights', ''),
-      ('pi2', 'sequence', ''),
-      ('pi2', 'contacts', ''),
-      ('pi1', 'heights', ''),
-      ('pi3', 'contacts', ''),
-      ('pi_all', 'heights', '--seed=1'),
+    # The paper's figures are of the paper's observation.
+    for name, policy, kind, more in (
+      ('pi2', 'pi2_paper', 'heights', ''),
+      ('pi2', 'pi2_paper', 'sequence', ''),
+      ('pi2', 'pi2_paper', 'contacts', ''),
+      ('pi1', 'pi1', 'heights', ''),
+      ('pi3', 'pi3', 'contacts', ''),
+      ('pi_all', 'pi_all', 'heights', '--seed=1'),
     )
   },
   **{
@@ -170,8 +171,18 @@ def _plan_figure(path: pathlib.Path) -> None:
 
 
 def _command(name: str, path: pathlib.Path) -> None:
-  """Runs the command that draws a picture, and takes the picture."""
+  """Writes the picture that a command draws."""
   made, words = _COMMANDS[name]
+  files.write(path, _drawn_by(words)[made])
+
+
+@functools.cache
+def _drawn_by(words: str) -> dict[str, bytes]:
+  """Runs a command; returns all pictures that it draws, by name.
+
+  Raises:
+    ChildProcessError: it failed.
+  """
   shipped = pathlib.Path(pretrained.__file__).parent
   with tempfile.TemporaryDirectory() as folder:
     given = words.format(out=folder, shipped=shipped).split()
@@ -180,7 +191,8 @@ def _command(name: str, path: pathlib.Path) -> None:
     )
     if done.returncode:
       raise ChildProcessError(f'`{" ".join(given)}` failed.')
-    files.write(path, (pathlib.Path(folder) / made).read_bytes())
+    drawn = pathlib.Path(folder).glob('*.png')
+    return {picture.name: picture.read_bytes() for picture in drawn}
 
 
 def _tour(path: pathlib.Path) -> None:
