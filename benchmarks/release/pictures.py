@@ -10,6 +10,7 @@ minutes of trainings: it runs when --only names it.
 """
 
 import functools
+import io
 import pathlib
 import subprocess
 import sys
@@ -18,6 +19,8 @@ from typing import Any, Callable, Iterator, Mapping, Sequence
 
 from absl import flags
 import numpy as np
+import PIL.Image
+import PIL.ImageSequence
 
 import dmc_multimode as dmm
 from dmc_multimode import pretrained
@@ -32,6 +35,7 @@ POLICY = 'pi2'
 SCHEDULE = 'walk_forward:2.4,leap_forward:2.4,launch:2,leap_forward:2.4,idle:2'
 _MOMENTS = (1.2, 3.05, 5.45, 7.45, 11.0)  # Seconds, one of each command.
 _SIZE = 360, 270  # Pixels of a film and of a frame.
+_COLOURS = 64  # Of a frame of a film.
 _NOTE = 'translucent box: where the reference wants the trunk'
 
 _ONLY = flags.DEFINE_list('only', [], 'Pictures to render; all by default.')
@@ -92,6 +96,30 @@ def _film(path: pathlib.Path, **what: Any) -> None:
   width, height = _SIZE
   config = viewer.RecordingConfig(width=width, height=height)
   dmm.record(POLICY, out=path, config=config, quiet=True, **what)
+  thin(path)
+
+
+def thin(path: pathlib.Path) -> None:
+  """Drops every second frame of a GIF, for a small repository."""
+  kept, durations = [], []
+  with PIL.Image.open(path) as film:
+    for i, frame in enumerate(PIL.ImageSequence.Iterator(film)):
+      if i % 2:
+        durations[-1] += frame.info['duration']
+        continue
+      plain = PIL.Image.Dither.NONE  # Its noise compresses badly.
+      kept.append(frame.convert('RGB').quantize(_COLOURS, dither=plain))
+      durations.append(frame.info['duration'])
+  content = io.BytesIO()
+  kept[0].save(
+    content,
+    'gif',
+    save_all=True,
+    append_images=kept[1:],
+    duration=durations,
+    loop=0,
+  )
+  files.write(path, content.getvalue())
 
 
 @functools.cache

@@ -3,6 +3,8 @@
 import pathlib
 import re
 
+import PIL.Image
+import PIL.ImageSequence
 import pytest
 
 from tests.benchmarks import modules
@@ -36,6 +38,20 @@ def test_films_are_small() -> None:
   films = [*_DOCS.glob('*.gif'), *_DOCS.glob('*.mp4')]
   assert films
   assert sum(film.stat().st_size for film in films) < _MOST_BYTES
+
+
+def test_thinned_films_last_as_long(tmp_path: pathlib.Path) -> None:
+  path = tmp_path / 'film.gif'
+  shades = [PIL.Image.new('RGB', (8, 8), (50 * i, 0, 0)) for i in range(5)]
+  times = [80, 90, 80, 90, 80]
+  shades[0].save(path, save_all=True, append_images=shades[1:], duration=times)
+  pictures.thin(path)
+  with PIL.Image.open(path) as film:
+    kept = [
+      (f.convert('RGB').getpixel((0, 0)), f.info['duration'])
+      for f in PIL.ImageSequence.Iterator(film)
+    ]
+  assert kept == [((0, 0, 0), 170), ((100, 0, 0), 170), ((200, 0, 0), 80)]
 
 
 def test_unknown_pictures_are_refused(benchmark: processes.Binary) -> None:
