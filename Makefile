@@ -11,6 +11,9 @@
 #                docs/REPRODUCTION.md); goes on where it stopped
 #   make lint    lint, format and types alone
 #   make docs    these pages and the API as a site: out/site/index.html
+#   make pictures  every picture and film of README.md and docs, anew
+#   make release  wheel and sdist in out/release, each tried in a fresh
+#                environment; uploads nothing
 #   make clean   remove what make made, the environment included (not runs/)
 #
 # Variables: PYTHON (3.11 or later), TORCH (what pip installs as torch: a
@@ -20,7 +23,8 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DELETE_ON_ERROR:
-.PHONY: demo test train reproduce retrain lint tests docs setup clean
+.PHONY: demo test train reproduce retrain lint tests docs pictures release \
+  setup clean
 
 PYTHON ?= python3
 PYTEST_ARGS ?=
@@ -76,6 +80,12 @@ docs: $(VENV)/docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	@echo "The site is $(CURDIR)/$(OUT)/site/index.html"
 
+pictures: setup
+	$(BIN)/python -m benchmarks.release.pictures
+
+release: $(VENV)/release
+	$(BIN)/python -m benchmarks.release.release --out=$(OUT)/release
+
 train: setup
 	$(BIN)/python -m dmc_multimode.bin.train \
 	  --flagfile=flags/quickstart.flags --run_dir=runs/quickstart $(TRAIN_ARGS)
@@ -113,8 +123,8 @@ $(VENV)/installed: setup.cfg pyproject.toml | $(BIN)/python
 	$(pip) -e '.[dev,export,gym]'
 	@touch $@
 
-$(VENV)/docs: setup.cfg | $(VENV)/installed
-	$(pip) -e '.[docs]'
+$(VENV)/docs $(VENV)/release: setup.cfg | $(VENV)/installed
+	$(pip) -e '.[$(notdir $@)]'
 	@touch $@
 
 # Draws one frame. A machine that cannot still runs what draws nothing.

@@ -10,6 +10,15 @@
     result = dmm.plan(policy, arena='gap', seed=0)
     dmm.record(policy, schedule='walk_forward:2,launch:2', out='video.mp4')
 
+What lies before a policy, and what is drawn of it:
+
+    modes = dmm.load_modes('pi2')
+    path = dmm.sample_reference(modes.motions[1], phases=[0.0, 0.5])
+    encoder = dmm.train_encoder('pi2')
+    curves = dmm.read_metrics('runs/mine')
+    trace = dmm.trace(policy, schedule='walk_forward:2,launch:2')
+    figure = dmm.draw_plan(result)
+
 Modes, policies and tracks are given by name or as objects, files and folders as
 `str` or `os.PathLike`. Importing this module loads nothing but itself.
 """
@@ -24,9 +33,15 @@ if TYPE_CHECKING:
   import numpy as np
 
   from dmc_multimode.arenas.track import Track
+  from dmc_multimode.evaluation.plan_figures import draw as draw_plan
   from dmc_multimode.evaluation.scores import evaluate
+  from dmc_multimode.evaluation.training_figures import read as read_metrics
   from dmc_multimode.experiments.training import train
+  from dmc_multimode.modes.encoder.mode_encoder import ModeEncoder
+  from dmc_multimode.modes.library import mode_set as load_modes
   from dmc_multimode.modes.mode_set import ModeSet
+  from dmc_multimode.modes.motion import ReferenceMotion
+  from dmc_multimode.modes.reference import sample as sample_reference
   from dmc_multimode.planner.replanning import solve as plan
   from dmc_multimode.pretrained.policy import load as load_policy
   from dmc_multimode.pretrained.policy import Policy
@@ -34,28 +49,47 @@ if TYPE_CHECKING:
   from dmc_multimode.suite.imitation.config import ImitationConfig
   from dmc_multimode.suite.reaching.worlds import ReachingWorlds
   from dmc_multimode.viewer.recording import record
+  from dmc_multimode.viewer.recording import RecordingConfig
+  from dmc_multimode.viewer.tracing import trace
   from dmc_multimode.walkers.robot import Robot
 
-__version__ = '0.1.0'
+__version__ = '0.2.0'
 __all__ = [
+  'ModeSet',
   'Policy',
+  'RecordingConfig',
+  'ReferenceMotion',
+  'draw_plan',
   'evaluate',
   'load',
+  'load_modes',
   'load_policy',
   'make_worlds',
   'plan',
+  'read_metrics',
   'record',
+  'sample_reference',
+  'trace',
   'train',
+  'train_encoder',
 ]
 
 _REACHING = 'reach_'
 # Name -> module, and its name there if that is another.
 _HOMES = {
+  'ModeSet': 'modes.mode_set',
   'Policy': 'pretrained.policy',
+  'RecordingConfig': 'viewer.recording',
+  'ReferenceMotion': 'modes.motion',
+  'draw_plan': 'evaluation.plan_figures:draw',
   'evaluate': 'evaluation.scores',
+  'load_modes': 'modes.library:mode_set',
   'load_policy': 'pretrained.policy:load',
   'plan': 'planner.replanning:solve',
+  'read_metrics': 'evaluation.training_figures:read',
   'record': 'viewer.recording',
+  'sample_reference': 'modes.reference:sample',
+  'trace': 'viewer.tracing',
   'train': 'experiments.training',
 }
 
@@ -90,6 +124,30 @@ def load(task: str, **task_kwargs: Any) -> 'dm_env.Environment':
   from dmc_multimode import suite
 
   return suite.load(suite.DOMAIN, task, task_kwargs)
+
+
+def train_encoder(
+  modes: 'str | ModeSet | Sequence[str | ReferenceMotion]' = 'pi2',
+  seed: int = 0,
+) -> 'ModeEncoder':
+  """Trains the encoder that turns motions into latents, in seconds.
+
+  `train` does so by itself; this is to look at latents.
+
+  Args:
+    modes: name of a mode set, names of modes, or motions of your own.
+    seed: of the initial weights.
+
+  Raises:
+    ValueError: a name is unknown, two motions are alike, or the training did
+      not converge.
+  """
+  from dmc_multimode.experiments import training
+  from dmc_multimode.modes import library
+  from dmc_multimode.modes.encoder import training as encoder_training
+
+  names, own = training.named(modes)
+  return encoder_training.train_for(library.resolve(names or '', own), seed)
 
 
 _Reaching = Literal[

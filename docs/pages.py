@@ -1,36 +1,76 @@
 """Pages of the site that are written elsewhere: a hook of MkDocs.
 
-README.md, CONTRIBUTING.md and CHANGELOG.md lie outside of `docs`, and the
-reference comes from the docstrings: one page a part of the package, every
-module of it in turn.
+README.md, CONTRIBUTING.md and CHANGELOG.md lie outside of `docs`; the tour is a
+notebook; the examples are programs; and the reference comes from docstrings,
+one page a package, of what the package exports.
 """
 
 # Of the extra `docs`: not always there to be checked against.
 # mypy: disable-error-code="import-not-found"
 
+import ast
+import base64
+import json
 import pathlib
 import re
-from typing import Any, Iterator
+from typing import Any, Iterator, Mapping, NamedTuple
 
 from mkdocs.structure import files as files_lib
 
 _ROOT = pathlib.Path(__file__).parents[1]
 _PACKAGE = 'dmc_multimode'
-_REST = 'package'  # The page of modules that are in no part.
 _OUTSIDE = re.compile(r'\[([^\]]*)\]\(\.\./[^)]*\)')  # A link out of `docs`.
 # A link from the root to what is no page: CITATION.cff.
 _NO_PAGE = re.compile(
   r'\[([^\]]*)\]\((?!docs/|https?:|#|CONTRIBUTING\.md|CHANGELOG\.md)[^)]*\)'
 )
+_EXAMPLES_LINK = '](../examples)', '](EXAMPLES.md)'
+# Page of the reference -> its packages; what is not here is no public surface.
+REFERENCE: Mapping[str, tuple[str, ...]] = {
+  'package': ('',),
+  'modes': ('modes', 'modes.encoder'),
+  'arenas': ('arenas',),
+  'walkers': ('walkers',),
+  'suite': ('suite', 'suite.reaching', 'suite.wrappers'),
+  'suite_imitation': ('suite.imitation',),
+  'agents': ('agents',),
+  'agents_ppo': ('agents.ppo',),
+  'planner': ('planner',),
+  'pretrained': ('pretrained',),
+  'viewer': ('viewer',),
+  'evaluation': ('evaluation',),
+  'experiments': ('experiments',),
+  'deployment': ('deployment',),
+}
+# A module that a package exports is a table of its names: they have details in
+# the code, and a page stays one that people read.
+_SUMMARY = """
+::: {name}
+    options:
+      heading_level: 3
+      members: false
+      summary:
+        functions: true
+        classes: true
+"""
+_WHOLE = """
+::: {name}
+    options:
+      heading_level: 3
+"""
 
 
 def on_files(files: Any, config: Any) -> Any:
   """Adds the pages; called by MkDocs once it has found its files."""
-  pages = {
+  tour, pictures = _tour(json.loads((_ROOT / 'docs/tour.ipynb').read_text()))
+  pages: dict[str, str | bytes] = {
     'index.md': _read('README.md'),
     'CONTRIBUTING.md': _read('CONTRIBUTING.md'),
     'CHANGELOG.md': _read('CHANGELOG.md'),
-    **{f'api/{part}.md': page for part, page in _reference().items()},
+    'tour.md': tour,
+    'EXAMPLES.md': _examples(),
+    **{f'api/{name}.md': page for name, page in _reference().items()},
+    **pictures,
   }
   for name, content in pages.items():
     files.append(files_lib.File.generated(config, name, content=content))
@@ -40,30 +80,142 @@ def on_files(files: Any, config: Any) -> Any:
 def on_page_markdown(markdown: str, **kwargs: Any) -> str:
   """Makes links to files that the site does not have plain text."""
   del kwargs
-  return _OUTSIDE.sub(r'\1', markdown)
+  markdown = markdown.replace('](tour.ipynb)', '](tour.md)')
+  return _OUTSIDE.sub(r'\1', markdown.replace(*_EXAMPLES_LINK))
 
 
 def _read(name: str) -> str:
   """Returns a page that lies beside `docs`, its links as seen from inside."""
-  text = _NO_PAGE.sub(r'\1', (_ROOT / name).read_text())
-  return text.replace('](docs/', '](')
+  text = (
+    (_ROOT / name).read_text().replace('](examples)', '](docs/EXAMPLES.md)')
+  )
+  text = _NO_PAGE.sub(r'\1', text)
+  return text.replace('](docs/tour.ipynb)', '](tour.md)').replace(
+    '](docs/', ']('
+  )
+
+
+def _examples() -> str:
+  """Returns the page of the examples: what each is for, and its code."""
+  parts = [
+    '# Examples\n\nEach is a program of `examples/` in the repository, and '
+    'runs as it is.\n'
+  ]
+  for path in sorted((_ROOT / 'examples').glob('*.py')):
+    code = path.read_text()
+    title = path.stem.replace('_', ' ').capitalize()
+    about = (ast.get_docstring(ast.parse(code)) or '').partition('\n')[0]
+    parts.append(f'## {title}\n\n{about}\n\n```python\n{code}```\n')
+  return '\n'.join(parts)
+
+
+def _tour(notebook: Mapping[str, Any]) -> tuple[str, dict[str, bytes]]:
+  """Returns the notebook as a page, and its pictures by their names."""
+  parts: list[str] = []
+  pictures: dict[str, bytes] = {}
+  for cell in notebook['cells']:
+    text = ''.join(cell['source'])
+    if cell['cell_type'] == 'markdown':
+      parts.append(text)
+      continue
+    body = [f'```python\n{text}\n```', *_outputs(cell, pictures)]
+    if text.startswith('# @title Solution'):
+      folded = '\n\n'.join(body).replace('\n', '\n    ')
+      body = [f'??? note "Solution"\n\n    {folded}']
+    parts += body
+  note = 'As a notebook: `docs/tour.ipynb` of the repository.'
+  return '\n\n'.join([parts[0], note, *parts[1:]]), pictures
+
+
+def _outputs(
+  cell: Mapping[str, Any], pictures: dict[str, bytes]
+) -> Iterator[str]:
+  """Yields a cell's outputs in Markdown; pictures are added to `pictures`."""
+  for output in cell.get('outputs', ()):
+    data = output.get('data', {})
+    if output['output_type'] == 'stream':
+      yield f'```text\n{"".join(output["text"]).rstrip()}\n```'
+    elif 'image/png' in data:
+      name = f'tour_{len(pictures)}.png'
+      pictures[name] = base64.b64decode(''.join(data['image/png']))
+      yield f'![What the cell draws]({name})'
+    elif 'text/html' in data:
+      yield ''.join(data['text/html'])
+
+
+class _Export(NamedTuple):
+  """Describes a name that a package exports.
+
+  Attributes:
+    name: in the package.
+    home: the module where it is defined, and its name there; '' for what the
+      package defines itself.
+    is_module: whether it is a module.
+  """
+
+  name: str
+  home: str
+  is_module: bool
 
 
 def _reference() -> dict[str, str]:
-  """Returns the pages of the reference by the part of the package."""
+  """Returns the pages of the reference by their names.
+
+  Each object is described once: functions of the facade there, all else in the
+  first package that exports it. Other places link to that.
+  """
+  trees: dict[str, ast.Module] = {}
+  homes: dict[str, tuple[str, str]] = {}  # Where an object is described.
+  order = [(page, each) for page, all_ in REFERENCE.items() for each in all_]
+  for page, package in [*order, order[0]]:  # Classes of the facade come last.
+    full = f'{_PACKAGE}.{package}'.rstrip('.')
+    path = _ROOT.joinpath(*full.split('.'), '__init__.py')
+    trees[full] = ast.parse(path.read_text())
+    is_first = not package and not homes
+    for export in _exports(full, trees[full]):
+      if not (is_first and export.name[0].isupper()):
+        homes.setdefault(export.home, (page, f'{full}.{export.name}'))
   pages: dict[str, str] = {}
-  for part, module in _modules():
-    title = _PACKAGE if part == _REST else f'{_PACKAGE}.{part}'
-    page = pages.setdefault(part, f'# {title}\n')
-    pages[part] = f'{page}\n::: {module}\n'
+  for page, package in order:
+    full = f'{_PACKAGE}.{package}'.rstrip('.')
+    level = '##' if page in pages else '#'
+    parts = [f'{level} {full}\n\n{ast.get_docstring(trees[full])}\n']
+    for export in _exports(full, trees[full]):
+      where, name = homes[export.home]
+      if name != f'{full}.{export.name}':
+        link = f'{where}.md' if where != page else ''
+        parts.append(
+          f'### {full}.{export.name}\n\nThe same as '
+          f'[`{name}`]({link}#{name}).\n'
+        )
+      else:
+        form = _SUMMARY if export.is_module else _WHOLE
+        parts.append(form.format(name=name))
+    pages[page] = '\n'.join([pages.get(page, ''), *parts]).lstrip()
   return pages
 
 
-def _modules() -> Iterator[tuple[str, str]]:
-  """Yields the part and the name of every module that says what it is."""
-  for path in sorted((_ROOT / _PACKAGE).rglob('*.py')):
-    if path.read_text().startswith(('"""', 'r"""')):
-      folder = path.parent.relative_to(_ROOT)
-      part = folder.parts[1] if len(folder.parts) > 1 else _REST
-      module = folder if path.name == '__init__.py' else folder / path.stem
-      yield part, '.'.join(module.parts)
+def _exports(package: str, tree: ast.Module) -> Iterator[_Export]:
+  """Yields what `__all__` of a package names, but for constants."""
+  values: dict[str, Any] = {}
+  imported: dict[str, str] = {}
+  defined = set()
+  for node in ast.walk(tree):
+    if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+      with_name = node.targets[0].id
+      if with_name in ('__all__', '_HOMES'):
+        values[with_name] = ast.literal_eval(node.value)
+    elif isinstance(node, ast.ImportFrom):
+      for alias in node.names:
+        imported[alias.asname or alias.name] = f'{node.module}.{alias.name}'
+    elif isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+      defined.add(node.name)
+  folder = _ROOT.joinpath(*package.split('.'))
+  for name in values.get('__all__', ()):
+    is_module = (folder / f'{name}.py').exists() or (folder / name).is_dir()
+    if is_module and name not in values.get('_HOMES', {}):
+      yield _Export(name, f'{package}.{name}', True)
+    elif name in imported:
+      yield _Export(name, imported[name], False)
+    elif name in defined:
+      yield _Export(name, f'{package}.{name}', False)

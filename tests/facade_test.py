@@ -205,3 +205,17 @@ def test_train_takes_motions_of_ones_own(tmp_path: pathlib.Path) -> None:
   assert policy.mode_set.motions[1].duration == 2 * walk.duration
   with pytest.raises(ValueError, match='already holds a run'):
     dmm.train(tmp_path, modes=policy.mode_set, steps=8)
+
+
+def test_what_lies_before_a_policy() -> None:
+  modes = dmm.load_modes('pi2')
+  assert isinstance(modes, dmm.ModeSet)
+  leap = modes.motions[modes.index('leap_forward')]
+  reference = dmm.sample_reference(leap, leap.phases)
+  np.testing.assert_allclose(reference.position, leap.positions, atol=1e-9)
+  slow = dataclasses.replace(leap, name='slow', duration=1.5, mirror='')
+  encoder = dmm.train_encoder(['idle', 'walk_forward', slow], seed=1)
+  assert encoder.codebook().names == ('idle', 'walk_forward', 'slow')
+  assert max(encoder.rmse().values()) < 0.02
+  with pytest.raises(ValueError, match='fly'):
+    dmm.train_encoder('fly')

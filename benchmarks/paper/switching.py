@@ -137,15 +137,26 @@ def judge(
 
 
 def _draw(
-  heights: dict[str, np.ndarray], timestep: float, switch: float
+  heights: dict[str, np.ndarray], timestep: float, switch: float, to: str
 ) -> Any:
-  """Draws the heights of the trunk in the switch at the middle phase."""
+  """Draws the heights of the trunk in the switch at the middle phase.
+
+  Args:
+    heights: of the trunk by policy, metres, [T, phases]; nan after a fall.
+    timestep: seconds of a control step.
+    switch: seconds.
+    to: mode that is commanded then.
+  """
   drawn, ((axis,),) = figures.empty(1, 1, 7.0, 3.0)
   for i, (name, height) in enumerate(heights.items()):
     times = timestep * np.arange(1, len(height) + 1)
-    axis.plot(times, height[:, height.shape[1] // 2], f'C{i}', label=name)
-  axis.axvline(switch, color='0.5', linewidth=0.8)
-  axis.set(xlabel='time (s)', ylabel='height of the trunk (m)')
+    shown = height[:, height.shape[1] // 2]
+    axis.plot(times, shown, f'C{i}', label=name)
+    last = int(np.isfinite(shown).sum()) - 1
+    if last < len(shown) - 1:
+      axis.plot(times[last], shown[last], f'C{i}X', label=f'{name}: falls')
+  axis.axvline(switch, color='0.5', linewidth=0.8, label=f'{to} is commanded')
+  axis.set(xlabel='time (s)', ylabel='height of the trunk over the world (m)')
   axis.legend(fontsize='small')
   return drawn
 
@@ -177,7 +188,7 @@ def main(argv: Sequence[str]) -> None:
   common.write_report(out, report)
   if folder:
     switch = next(iter(rows.values()))['switches'][_PHASES.value // 2]
-    drawn = _draw(heights, config.control_timestep, switch)
+    drawn = _draw(heights, config.control_timestep, switch, second)
     figures.save(pathlib.Path(folder) / FIGURE_FILE, drawn)
 
 

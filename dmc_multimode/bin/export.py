@@ -2,8 +2,9 @@ r"""Exports a policy as ONNX, or robot and track as one MuJoCo model.
 
   python -m dmc_multimode.bin.export --policy=pi2 --out=out/pi2.onnx
 
-writes the policy, checked against torch, and out/pi2.json, which has all that a
-controller needs to know of it. The same is in the model's metadata.
+writes the policy, checked against torch; out/pi2.json, which has all that a
+controller needs to know of it, as the model's metadata do; and
+out/controller.py, a controller in numpy and onnxruntime.
 
   python -m dmc_multimode.bin.export --format=mjcf --arena=block \
     --sizes=distance:6 --out=out
@@ -53,7 +54,8 @@ def _write_policy(out: pathlib.Path) -> None:
   policy = pretrained.load(_POLICY.value, robot=_ROBOT.value or None)
   apart = onnx_export.write(policy, out)
   print(f'greatest difference from torch: {apart:.2e} rad')
-  for path in (out, out.with_suffix('.json')):
+  beside = out.with_name(onnx_export.CONTROLLER)
+  for path in (out, out.with_suffix('.json'), beside):
     print(f'wrote {path} ({path.stat().st_size} bytes)')
 
 

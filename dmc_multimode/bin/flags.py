@@ -82,6 +82,11 @@ DISTURBANCES = {
   'sensor_noise': 'Of observations; 1 is that of real sensors.',
 }
 
+# Fields of `RunConfig` that are one flag, and nested configurations, whose
+# fields are flags.
+_SIMPLE = ('steps', 'seed', 'num_worlds', 'threads', 'one_hot')
+_PARTS = ('ppo', 'sampling', 'task')
+
 
 class _PathParser(flags.ArgumentParser):
   """Parser of a flag for a file or folder, or for a name in its place."""
@@ -247,6 +252,46 @@ def read(config: Any, prefix: str) -> Any:
     return dataclasses.replace(config, **changes)
   except ValueError as error:
     raise ValueError(f'--{prefix}_*: {error}') from error
+
+
+def define_settings() -> None:
+  """Defines the flags of the fields of `RunConfig`, but for its modes."""
+  # Late, as it takes a moment.
+  from dmc_multimode.experiments import config as run_config
+
+  defaults = run_config.RunConfig()
+  flags.DEFINE_integer(
+    'steps',
+    defaults.steps,
+    'Environment steps in all; of a run that is resumed by default its own.',
+  )
+  flags.DEFINE_integer('seed', defaults.seed, 'Of all randomness.')
+  flags.DEFINE_integer(
+    'num_worlds',
+    defaults.num_worlds,
+    'Worlds that are stepped together, by all processes.',
+  )
+  flags.DEFINE_integer(
+    'threads',
+    None,
+    'Threads of the physics and of torch, in each process; by default one for '
+    'each core.',
+  )
+  flags.DEFINE_bool(
+    'one_hot', defaults.one_hot, 'One-hot commands instead of latents.'
+  )
+  for part in _PARTS:
+    define(getattr(defaults, part), part)
+
+
+def given_settings() -> dict[str, Any]:
+  """Returns the values of the given flags of `define_settings`, by name."""
+  from dmc_multimode.experiments import config as run_config
+
+  values = {name: FLAGS[name].value for name in _SIMPLE if FLAGS[name].present}
+  for part in _PARTS:
+    values |= given(getattr(run_config.RunConfig(), part), part)
+  return values
 
 
 def define_disturbances() -> None:

@@ -81,10 +81,6 @@ _KEEP_EVERY = flags.DEFINE_integer(
   0,
   'Environment steps between policies kept in RUN_DIR/policies; 0: none.',
 )
-# Fields of `RunConfig` that are one flag, and nested configurations, whose
-# fields are flags.
-_SIMPLE = ('seed', 'num_worlds', 'threads', 'one_hot')
-_PARTS = ('ppo', 'sampling', 'task')
 
 
 def _check_modes() -> None:
@@ -98,45 +94,13 @@ def _check_modes() -> None:
 
 def _define_settings() -> None:
   """Defines the flags of the fields of `RunConfig`."""
-  from dmc_multimode.experiments import config as run_config
-
-  defaults = run_config.RunConfig()
-  flags.DEFINE_integer(
-    'steps',
-    defaults.steps,
-    'Environment steps in all; with --resume by default those of the run.',
-  )
-  flags.DEFINE_integer('seed', defaults.seed, 'Of all randomness.')
-  flags.DEFINE_integer(
-    'num_worlds',
-    defaults.num_worlds,
-    'Worlds that are stepped together, by all processes.',
-  )
-  flags.DEFINE_integer(
-    'threads',
-    None,
-    'Threads of the physics and of torch, in each process; by default one for '
-    'each core.',
-  )
-  flags.DEFINE_bool(
-    'one_hot', defaults.one_hot, 'One-hot commands instead of latents.'
-  )
-  for part in _PARTS:
-    config_flags.define(getattr(defaults, part), part)
+  config_flags.define_settings()
 
 
 def _given() -> dict[str, Any]:
   """Returns the values of the given flags of `RunConfig`."""
-  from dmc_multimode.experiments import config as run_config
-
-  values = {
-    name: flags.FLAGS[name].value
-    for name in ('modes', 'steps', *_SIMPLE)
-    if flags.FLAGS[name].present
-  }
-  for part in _PARTS:
-    values |= config_flags.given(getattr(run_config.RunConfig(), part), part)
-  return values
+  values = config_flags.given_settings()
+  return values | ({'modes': _MODES.value} if _MODES.value else {})
 
 
 def _train(

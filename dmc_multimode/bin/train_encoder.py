@@ -48,14 +48,8 @@ def main(argv: Sequence[str]) -> None:
   # Late, as these import torch and matplotlib.
   from dmc_multimode.evaluation import figures
   from dmc_multimode.modes.encoder import mode_encoder
-  from dmc_multimode.modes.encoder import training as encoder_training
 
-  config = mode_encoder.EncoderConfig(
-    use_contacts=encoder_training.needs_contacts(motions),
-    seed=_SEED.value,
-    num_feet=motion_lib.num_feet(motions),
-  )
-  trained = _train(motions, config)
+  trained = _train(motions, _SEED.value)
   print(tables(trained))
   figure = draw(trained)
   trained.save(out)
@@ -137,8 +131,7 @@ def _motions(
 
 
 def _train(
-  motions: Sequence[motion_lib.ReferenceMotion],
-  config: 'mode_encoder.EncoderConfig',
+  motions: Sequence[motion_lib.ReferenceMotion], seed: int
 ) -> 'mode_encoder.ModeEncoder':
   """Trains under a progress bar."""
   from dmc_multimode.modes.encoder import training as encoder_training
@@ -153,7 +146,7 @@ def _train(
         refresh=False,
       )
 
-    return encoder_training.train(motions, config, show)
+    return encoder_training.train_for(motions, seed, show)
 
 
 def cli() -> None:

@@ -22,6 +22,7 @@ from dmc_multimode import pretrained
 from dmc_multimode.deployment import description
 from dmc_multimode.utils import files
 
+CONTROLLER = 'controller.py'
 _CHECKED = 256  # Random observations for the comparison.
 _TOLERANCE = 1e-5  # Radians.
 _SPREAD = 3.0  # Deviation of these, in standard deviations.
@@ -40,11 +41,12 @@ class _Actor(nn.Module):
 
 
 def write(policy: pretrained.Policy, path: str | os.PathLike[str]) -> float:
-  """Writes a policy as an ONNX model, and its description beside it.
+  """Writes a policy as an ONNX model, and beside it what runs the model.
 
   Args:
     policy: the policy.
-    path: of the model. The description has the same name, and ends in .json.
+    path: of the model. The description has the same name, and ends in .json;
+      `CONTROLLER` turns sensors into joint targets with both.
 
   Returns:
     The greatest difference of onnxruntime and torch, radians.
@@ -67,6 +69,9 @@ def write(policy: pretrained.Policy, path: str | os.PathLike[str]) -> float:
   path.parent.mkdir(parents=True, exist_ok=True)
   files.write(path, model)
   files.write_json(beside, described)
+  # As text: it is for programs without this package.
+  source = pathlib.Path(__file__).with_name(CONTROLLER).read_bytes()
+  files.write(path.with_name(CONTROLLER), source)
   return apart
 
 

@@ -2,13 +2,15 @@
 
 import csv
 import math
+import os
 import pathlib
-from typing import Mapping, Sequence
+from typing import Any, Mapping, Sequence
 
 import matplotlib.figure
 import numpy as np
 
 from dmc_multimode.evaluation import figures
+from dmc_multimode.utils import files
 
 METRICS_FILE = 'metrics.csv'
 _POINTS = 400  # Of a line.
@@ -18,7 +20,7 @@ _MILLION = 1e6
 Curves = Mapping[str, np.ndarray]
 
 
-def read(path: pathlib.Path) -> Curves:
+def read(path: str | os.PathLike[str]) -> Curves:
   """Returns the columns of a run's metrics by name, [N] each.
 
   Args:
@@ -28,6 +30,7 @@ def read(path: pathlib.Path) -> Curves:
     FileNotFoundError: there is no such file.
     ValueError: the file is not a table of numbers by step.
   """
+  path = pathlib.Path(files.expand(path))
   path = path / METRICS_FILE if path.is_dir() else path
   if not path.is_file():
     raise FileNotFoundError(f'{path} does not exist.')
@@ -36,6 +39,10 @@ def read(path: pathlib.Path) -> Curves:
       rows = list(csv.DictReader(file))
   except (csv.Error, UnicodeDecodeError) as error:
     raise ValueError(f'{path} is damaged: {error}.') from error
+  if not rows and path.stat().st_size == 0:
+    raise ValueError(
+      f'{path} has no row yet: the first comes after a few iterations.'
+    )
   if not rows or not {'steps', 'mra_modes', 'mra_transitions'} <= set(rows[0]):
     raise ValueError(f'{path} does not hold the metrics of a run.')
   try:
@@ -65,9 +72,31 @@ def draw_returns(
         linewidth=0,
       )
     axis.set(title=title, xlabel='million environment steps', ylim=(0.0, 1.0))
+    _explain_blank(axis)
   axes[0].set_ylabel('normalised return, exploring')
   axes[0].legend()
   return drawn
+
+
+def _explain_blank(axis: Any) -> None:
+  """Says in a panel why it shows no line, if it shows none."""
+  if any(map(_is_visible, axis.lines)):
+    return
+  reason = (
+    'too short a run:\na line takes a few rows\nof its metrics'
+    if axis.lines
+    else 'a single mode:\nnothing is drawn at random'
+  )
+  axis.text(
+    0.5, 0.5, reason, ha='center', va='center', transform=axis.transAxes
+  )
+
+
+def _is_visible(line: Any) -> bool:
+  """Returns whether a line is longer than a point."""
+  x, y = np.asarray(line.get_data(), dtype=float)
+  shown = x[np.isfinite(y)]
+  return len(shown) > 1 and bool(shown[0] < shown[-1])
 
 
 def _aligned(
@@ -100,10 +129,12 @@ def draw_sampling(run: Curves) -> matplotlib.figure.Figure:
         steps / _MILLION, values, label=name.partition('->')[-1] or name
       )
     axis.set(title=title, xlabel='million environment steps', ylim=(0.0, 1.0))
+    _explain_blank(axis)
   for axis in axes.flat[len(panels) :]:
     axis.remove()
   axes[0, 0].set_ylabel('probability, running mean')
-  axes[0, 0].legend(fontsize='x-small')
+  if names:
+    axes[0, 0].legend(fontsize='x-small')
   return drawn
 
 

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
   from dmc_multimode.experiments.run_folder import RunFolder as RunFolder
   from dmc_multimode.experiments.setup import build as build
   from dmc_multimode.experiments.setup import Run as Run
+  from dmc_multimode.experiments.sweeping import sweep as sweep
   from dmc_multimode.experiments.training import train as train
 
 _HOMES = {
@@ -19,6 +20,7 @@ _HOMES = {
   'RunConfig': 'config',
   'RunFolder': 'run_folder',
   'build': 'setup',
+  'sweep': 'sweeping',
   'train': 'training',
 }
 __all__ = [
@@ -26,6 +28,7 @@ __all__ = [
   'RunConfig',
   'RunFolder',
   'build',
+  'sweep',
   'train',
 ]
 

@@ -105,7 +105,7 @@ def train(
     minutes=minutes,
     keep_every=keep_every,
   )
-  names, motions = _named(modes)
+  names, motions = named(modes)
   request = _Request(
     run_folder.RunFolder(run_dir),
     names,
@@ -124,7 +124,7 @@ def train(
   return _run(run, request.folder, length, wandb_project, communicator)
 
 
-def _named(modes: Modes | None) -> tuple[str | None, Motions]:
+def named(modes: Modes | None) -> tuple[str | None, Motions]:
   """Returns mode names, comma-separated, and the motions among `modes`."""
   if modes is None or isinstance(modes, str):
     return modes, ()
@@ -269,15 +269,7 @@ class _Request:
 
 def _train_encoder(motions: Motions, seed: int) -> mode_encoder.ModeEncoder:
   print('Training the mode encoder.', flush=True)
-  contacts = encoder_training.needs_contacts(motions)
-  return encoder_training.train(
-    motions,
-    mode_encoder.EncoderConfig(
-      use_contacts=contacts,
-      seed=seed,
-      num_feet=motion_lib.num_feet(motions),
-    ),
-  )
+  return encoder_training.train_for(motions, seed)
 
 
 @dataclasses.dataclass(frozen=True)

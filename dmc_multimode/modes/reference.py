@@ -8,6 +8,7 @@ those of `motion`.
 from typing import NamedTuple, Sequence, TYPE_CHECKING
 
 import numpy as np
+from numpy import typing as npt
 
 from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.utils import constants
@@ -356,8 +357,10 @@ def _rotation_from_vector(vectors: np.ndarray) -> 'transform.Rotation':
   return transform.Rotation.from_rotvec(vectors)
 
 
-def sample(motion: motion_lib.ReferenceMotion, phases: np.ndarray) -> Reference:
+def sample(
+  motion: motion_lib.ReferenceMotion, phases: npt.ArrayLike
+) -> Reference:
   """Returns one motion's reference at `phases`, each in [0, 1], [T]."""
   bank = ReferenceBank([motion])
-  modes = np.zeros(len(phases), dtype=np.int64)
-  return bank.sample(modes, np.asarray(phases, dtype=np.float64))
+  phases = np.asarray(phases, dtype=np.float64)
+  return bank.sample(np.zeros(len(phases), dtype=np.int64), phases)

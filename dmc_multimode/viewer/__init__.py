@@ -10,8 +10,8 @@ from typing import Any, TYPE_CHECKING
 from dmc_multimode.utils import lazy
 
 if TYPE_CHECKING:
+  from dmc_multimode.utils.gl import choose_backend as choose_backend
   from dmc_multimode.viewer.camera import Camera as Camera
-  from dmc_multimode.viewer.gl import choose_backend as choose_backend
   from dmc_multimode.viewer.recording import film as film
   from dmc_multimode.viewer.recording import record as record
   from dmc_multimode.viewer.recording import Recording as Recording
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
   from dmc_multimode.viewer.rollout import RolloutConfig as RolloutConfig
   from dmc_multimode.viewer.serving import view as view
   from dmc_multimode.viewer.session import LiveSession as LiveSession
+  from dmc_multimode.viewer.tracing import Trace as Trace
+  from dmc_multimode.viewer.tracing import trace as trace
 
 _HOMES = {
   'Camera': 'camera',
@@ -28,9 +30,11 @@ _HOMES = {
   'RecordingConfig': 'recording',
   'Rollout': 'rollout',
   'RolloutConfig': 'rollout',
+  'Trace': 'tracing',
   'choose_backend': 'gl',
   'film': 'recording',
   'record': 'recording',
+  'trace': 'tracing',
   'view': 'serving',
 }
 __all__ = [
@@ -40,9 +44,11 @@ __all__ = [
   'RecordingConfig',
   'Rollout',
   'RolloutConfig',
+  'Trace',
   'choose_backend',
   'film',
   'record',
+  'trace',
   'view',
 ]
 

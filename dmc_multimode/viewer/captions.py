@@ -9,10 +9,13 @@ import PIL.ImageDraw
 import PIL.ImageFont
 
 if TYPE_CHECKING:
+  from dmc_multimode.arenas import track
   from dmc_multimode.viewer import rollout as rollout_lib
 
 _INK, _FAINT, _WARNING = (22, 28, 36), (92, 102, 114), (200, 30, 30)
-_SHOWN = 0.6  # Seconds for which a push is shown.
+_SHOWN = 0.6  # Seconds for which a push, or a ledge that appears, is shown.
+_GHOST = 'translucent box: reference'
+_LEAST_RISE = 0.02  # Metres: lower ones are no ledge.
 _PAPER = 0.72  # Opacity of the panel behind the text.
 _PALETTE = (  # One colour a mode, safe for colour-blind eyes (Okabe and Ito).
   (0, 114, 178),
@@ -26,7 +29,7 @@ _PALETTE = (  # One colour a mode, safe for colour-blind eyes (Okabe and Ito).
 
 
 class Caption(NamedTuple):
-  """The text of one frame.
+  """The text of one frame; heights are those of the trunk.
 
   Attributes:
     mode: index of the running mode, which gives the title's colour.
@@ -58,13 +61,50 @@ def colour(mode: int) -> tuple[int, int, int]:
   return _PALETTE[mode % len(_PALETTE)]
 
 
+class _Ledges:
+  """Ledges that appear while the robot is on its way: what modes ask for."""
+
+  def __init__(self, arena: 'track.Track'):
+    """Watches a track; all that is there in the first step is known."""
+    self._arena = arena
+    self._known: set[tuple[float, float]] | None = None
+    self._text, self._until = '', -np.inf
+
+  def lines(self, step: 'rollout_lib.Step') -> tuple[str, ...]:
+    """Returns the line that announces a ledge, if one has just appeared."""
+    starts, _, tops = (field[0] for field in self._arena.terrain)
+    there = np.isfinite(starts)
+    edges = list(zip(starts[there].tolist(), tops[there].tolist(), strict=True))
+    if self._known is None:
+      self._known = set(edges)
+    ground, x = step.position[2] - step.height, step.position[0]
+    for start, top in sorted(set(edges) - self._known):
+      rise = top - ground
+      if start > x and abs(rise) > _LEAST_RISE:
+        kind = 'block rises' if rise > 0 else 'edge opens'
+        self._text = f'{kind} {start - x:.1f} m ahead: {rise:+.2f} m'
+        self._until = step.time + _SHOWN
+    self._known |= set(edges)
+    return (self._text,) if step.time <= self._until else ()
+
+
 class Captions:
   """Draws captions and timeline of a roll-out into its frames."""
 
-  def __init__(self, rollout: 'rollout_lib.Rollout', name: str = ''):
-    """Captions the steps of `rollout`, in order; shows `name` if there is."""
+  def __init__(
+    self, rollout: 'rollout_lib.Rollout', name: str = '', ghost: bool = True
+  ):
+    """Captions the steps of `rollout`, in order.
+
+    Args:
+      rollout: of the steps.
+      name: to show above, if there is one.
+      ghost: whether the reference is drawn, which the caption then explains.
+    """
     self._rollout = rollout
     self._name = (name,) if name else ()
+    self._ghost = (_GHOST,) if ghost else ()
+    self._ledges = _Ledges(rollout.task.root_entity)
     self._names = rollout.task.mode_set.names
     self._timeline = Timeline(
       rollout.schedule.modes[0].tolist(), rollout.ends.tolist()
@@ -85,10 +125,12 @@ class Captions:
       step.mode,
       (
         *self._name,
-        f'time {step.time:.2f} s',
-        f'height {step.height:.2f} m',
-        f'speed {step.speed:.2f} m/s',
+        f'{step.time:.2f} s, {step.speed:.2f} m/s',
         f'reward {step.reward:.2f}',
+        f'over ground {step.height:.2f} m',
+        f'over world {step.position[2]:.2f} m',
+        *self._ghost,
+        *self._ledges.lines(step),
         *pushes,
       ),
       self._warning,

@@ -88,15 +88,23 @@ class Outcome(NamedTuple):
 class Recording(NamedTuple):
   """Content of a video.
 
+  Shows the film where it is the result of a notebook's cell.
+
   Attributes:
     outcomes: of each command.
     steps: control steps.
+    out: the film's file.
     compared: of the policy beside, if there is one.
   """
 
   outcomes: list[Outcome]
   steps: int
+  out: pathlib.Path
   compared: 'Recording | None' = None
+
+  def _repr_html_(self) -> str:
+    """Returns the film as HTML, for notebooks."""
+    return video.to_html(self.out)
 
 
 def record(
@@ -142,7 +150,7 @@ def record(
   """
   path = video.check_path(out)
   if schedule is not None and plan is None:
-    what = _scheduled(schedule, arena, seed)
+    what = scheduled(schedule, arena, seed)
     known = _mode_set(policy)
   elif plan is not None and schedule is None:
     known = _mode_set(policy)
@@ -170,7 +178,7 @@ def record(
   )
   config = config or RecordingConfig()
   if compare is None:
-    policies = {'': _load(policy, robot)}
+    policies = {'': find_policy(policy, robot)}
     return film_beside(policies, rollout_config, config, path, quiet, earlier)[
       0
     ]
@@ -181,7 +189,7 @@ def record(
   if names[0] == names[1]:
     raise ValueError(f'{names[0]} cannot be compared with itself.')
   policies = dict(
-    zip(names, (_load(policy, robot), _load(compare)), strict=True)
+    zip(names, (find_policy(policy, robot), find_policy(compare)), strict=True)
   )
   first, second = film_beside(policies, rollout_config, config, path, quiet)
   return first._replace(compared=second)
@@ -195,10 +203,16 @@ def _mode_set(
   return policy.mode_set
 
 
-def _load(
+def find_policy(
   policy: 'str | os.PathLike[str] | pretrained.Policy',
   robot: 'str | os.PathLike[str] | robot_lib.Robot | None' = None,
 ) -> 'pretrained.Policy':
+  """Returns a policy, which may be given by its name or folder; see `record`.
+
+  Raises:
+    FileNotFoundError: there is no such policy.
+    ValueError: it was trained for another robot.
+  """
   from dmc_multimode import pretrained
   from dmc_multimode.pretrained import policy as policy_lib
 
@@ -210,7 +224,7 @@ def _load(
   return policy
 
 
-def _scheduled(
+def scheduled(
   schedule: str | Sequence[tuple[str, float]], arena: str, seed: int
 ) -> dict[str, Any]:
   """Returns the roll-out's fields that follow from a schedule."""
@@ -322,7 +336,9 @@ def film_beside(
         raise ValueError(f'{earlier} has another size: record it in this one.')
       append(np.concatenate(shown, axis=1))
   return [
-    Recording(outcomes(rollout_config, shot.start, shot.steps), len(shot.steps))
+    Recording(
+      outcomes(rollout_config, shot.start, shot.steps), len(shot.steps), out
+    )
     for shot in shots
   ]
 
@@ -360,7 +376,7 @@ class _Shot:
       config.height,
       config.ghost,
     )
-    self._caption = captions.Captions(self.rollout, name)
+    self._caption = captions.Captions(self.rollout, name, config.ghost)
 
   def frames(self) -> Iterator[np.ndarray]:
     """Rolls out; yields a frame a control step, uint8 [H, W, 3]."""

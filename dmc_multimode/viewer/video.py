@@ -1,5 +1,6 @@
 """Videos: H.264 by PyAV, which brings its own codecs, and GIFs by Pillow."""
 
+import base64
 import contextlib
 import fractions
 import math
@@ -72,6 +73,18 @@ def read_frames(path: pathlib.Path) -> Iterator[np.ndarray]:
   with av.open(str(path)) as container:
     for frame in container.decode(container.streams.video[0]):
       yield frame.to_ndarray(format='rgb24')
+
+
+def to_html(path: pathlib.Path) -> str:
+  """Returns a film as an HTML element that holds all of it.
+
+  Raises:
+    OSError: it cannot be read.
+  """
+  content = base64.b64encode(path.read_bytes()).decode()
+  if path.suffix.lower() == GIF_SUFFIX:
+    return f'<img src="data:image/gif;base64,{content}">'
+  return f'<video controls loop src="data:video/mp4;base64,{content}"></video>'
 
 
 @contextlib.contextmanager

@@ -66,6 +66,27 @@ def test_sampling() -> None:
   assert titles == ['initial mode', 'final mode after walk']
 
 
+def test_blank_panels_say_why() -> None:
+  row = {
+    'steps': np.array([1e6]),
+    'mra_modes': np.array([0.5]),
+    'mra_transitions': np.array([0.3]),
+    'p/idle': np.array([1.0]),
+  }
+  long = {name: np.repeat(values, 60) for name, values in row.items()}
+  long['steps'] = np.linspace(1e6, 2e6, 60)
+  texts = lambda drawn: [[t.get_text() for t in a.texts] for a in drawn.axes]
+  for draw in (
+    lambda run: training_figures.draw_returns({'run': [run]}),
+    training_figures.draw_sampling,
+  ):
+    assert all('too short a run' in text for (text,) in texts(draw(row)))
+    assert not any(texts(draw(long)))
+  alone = {k: v for k, v in long.items() if not k.startswith('p/')}
+  ((text,),) = texts(training_figures.draw_sampling(alone))
+  assert 'a single mode' in text
+
+
 @pytest.fixture(scope='module')
 def binary(tmp_path_factory: pytest.TempPathFactory) -> Any:
   found = processes.Binary('curves', tmp_path_factory.mktemp('output'))

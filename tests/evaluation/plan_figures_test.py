@@ -1,10 +1,16 @@
 """Tests of dmc_multimode.evaluation.plan_figures."""
 
+from typing import Any
+
 import numpy as np
 
 from dmc_multimode.evaluation import plan_figures
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import pushes
+
+
+def _legend(axis: Any) -> list[str]:
+  return [text.get_text() for text in axis.get_legend().get_texts()]
 
 
 def test_figure() -> None:
@@ -28,3 +34,12 @@ def test_figure() -> None:
   np.testing.assert_array_equal(heights, path[:, 2])
   np.testing.assert_array_equal(side.lines[0].get_data(), path[:, [0, 2]].T)
   assert len(side.collections) == 2  # Both sides of the gap.
+  assert [text.get_text() for text in side.texts] == ['gap\n0.45 m']
+  legend = _legend(side)
+  assert legend == ['ground', 'path of the trunk', 'start', 'end'] + [
+    'goal of the trunk'
+  ]
+  legend = _legend(modes)
+  assert legend == ['commanded mode', 'push'] + ['ground under the trunk'] + [
+    'trunk'
+  ]

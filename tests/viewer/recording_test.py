@@ -1,6 +1,8 @@
 """Tests of dmc_multimode.viewer: roll-outs, captions, recordings."""
 
+import base64
 import pathlib
+import re
 from typing import Any
 
 import av
@@ -55,11 +57,13 @@ def test_two_policies_side_by_side(tmp_path: pathlib.Path) -> None:
     **more,
   )
   alone, both = record(), record(compare='quickstart')
-  assert both._replace(compared=None) == alone
+  assert both._replace(compared=None, out=alone.out) == alone
   assert both.compared is not None and both.compared.steps == 10
   assert both.compared.outcomes != alone.outcomes
   (tmp_path / '1.mp4').rename(tmp_path / 'both.mp4')
-  assert record(compare=tmp_path / '0.mp4') == alone  # A video of before.
+  # A video of before.
+  beside = record(compare=tmp_path / '0.mp4')
+  assert beside._replace(out=alone.out) == alone
   wide = viewer.RecordingConfig(width=144, height=128)
   with pytest.raises(ValueError, match='0.mp4 has another size'):
     viewer.record(
@@ -162,3 +166,49 @@ def test_pushes_are_written_into_the_frames() -> None:
   }
   heights = [(text > 0).any(axis=(1, 2)).sum() for text in texts.values()]
   assert heights[1] == heights[2] > heights[0] == heights[3]
+
+
+def test_ledges_are_announced_when_they_appear() -> None:
+  policy = pretrained.load('pi2')
+  roll = rollout.Rollout(
+    policy, rollout.RolloutConfig(('idle', 'launch'), (0.3, 1.5))
+  )
+  roll.start()
+  watch, seen = captions._Ledges(roll.task.root_entity), []
+  for step in roll.steps():
+    seen.append(watch.lines(step))
+  (line,) = {line for lines in seen for line in lines}
+  assert line.startswith('block rises 0.3 m ahead: +0.40 m')
+  (shown,) = np.nonzero([bool(lines) for lines in seen])
+  assert 0.3 <= 0.03 * (shown[0] + 1) <= 0.36
+  assert 0.03 * len(shown) == pytest.approx(0.6, abs=0.06)
+  later = captions._Ledges(roll.task.root_entity)
+  assert not later.lines(step)  # It was there before.
+
+
+def test_trace_is_the_roll_out() -> None:
+  found = viewer.trace('pi2', 'walk_forward:0.6,launch:1.2')
+  assert found.times[-1] == pytest.approx(1.8)
+  assert len(found.times) == len(found.position) == len(found.reference) == 60
+  assert found.modes[0] == 'walk_forward' and found.modes[-1] == 'launch'
+  assert set(found.causes) == {'none'} and found.reward.min() > 0.3
+  np.testing.assert_allclose(found.position, found.reference, atol=0.25)
+  assert set(found.support.round(6)) == {0.0, 0.4}
+  with pytest.raises(ValueError, match='Unknown mode'):
+    viewer.trace('pi2', 'fly:1')
+
+
+@pytest.mark.gl
+def test_a_notebook_shows_the_film(tmp_path: pathlib.Path) -> None:
+  small = viewer.RecordingConfig(width=32, height=16)
+  for suffix, kind in (('gif', 'image/gif'), ('mp4', 'video/mp4')):
+    made = viewer.record(
+      'quickstart',
+      'idle:0.06',
+      out=tmp_path / f'film.{suffix}',
+      config=small,
+      quiet=True,
+    )
+    content = re.search(f'data:{kind};base64,([^"]*)"', made._repr_html_())
+    assert content
+    assert base64.b64decode(content[1]) == made.out.read_bytes()

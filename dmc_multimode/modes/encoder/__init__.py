@@ -7,6 +7,7 @@ from dmc_multimode.modes.encoder.mode_encoder import ModeEncoder
 from dmc_multimode.modes.encoder.training import ConvergenceError
 from dmc_multimode.modes.encoder.training import needs_contacts
 from dmc_multimode.modes.encoder.training import train
+from dmc_multimode.modes.encoder.training import train_for
 
 __all__ = (
   'ConvergenceError',
@@ -16,4 +17,5 @@ __all__ = (
   'load',
   'needs_contacts',
   'train',
+  'train_for',
 )

@@ -106,6 +106,31 @@ def train(
   )
 
 
+def train_for(
+  motions: Sequence[motion_lib.ReferenceMotion],
+  seed: int = 0,
+  progress: Callable[[Progress], None] | None = None,
+) -> mode_encoder.ModeEncoder:
+  """Trains with the settings that fit the motions; see `train`.
+
+  Contacts are encoded where modes differ in nothing else.
+
+  Args:
+    motions: the mode set.
+    seed: of the initial weights.
+    progress: called after every pass, before its gradient step.
+
+  Raises:
+    ValueError, ConvergenceError: as `train`.
+  """
+  config = mode_encoder.EncoderConfig(
+    use_contacts=needs_contacts(motions),
+    seed=seed,
+    num_feet=motion_lib.num_feet(motions),
+  )
+  return train(motions, config, progress)
+
+
 def check_set(
   motions: Sequence[motion_lib.ReferenceMotion],
   config: mode_encoder.EncoderConfig,

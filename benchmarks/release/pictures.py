@@ -1,0 +1,275 @@
+"""Renders every picture and film of README.md and docs, and the tour's outputs.
+
+    python -m benchmarks.release.pictures           # All, which takes a while.
+    python -m benchmarks.release.pictures --only=pi2.gif,plan.png
+
+Films, frames and plans are of pi2, the default; the figures that compare
+policies are of those that docs/REPRODUCTION.md names. The page of VIEW.md is
+not among them: a browser takes it. The tour takes the extra `docs`, and six
+minutes of trainings: it runs when --only names it.
+"""
+
+import functools
+import io
+import pathlib
+import subprocess
+import sys
+import tempfile
+from typing import Any, Callable, Iterator, Mapping, Sequence
+
+from absl import flags
+import numpy as np
+import PIL.Image
+import PIL.ImageSequence
+
+import dmc_multimode as dmm
+from dmc_multimode import pretrained
+from dmc_multimode import viewer
+from dmc_multimode.bin import app
+from dmc_multimode.evaluation import figures
+from dmc_multimode.planner import plan as plan_lib
+from dmc_multimode.utils import files
+
+POLICY = 'pi2'
+# Walk, leap, onto the block that launch calls for, leap on top, stand.
+SCHEDULE = 'walk_forward:2.4,leap_forward:2.4,launch:2,leap_forward:2.4,idle:2'
+_MOMENTS = (1.2, 3.05, 5.45, 7.45, 11.0)  # Seconds, one of each command.
+_SIZE = 360, 270  # Pixels of a film and of a frame.
+_COLOURS = 64  # Of a frame of a film.
+_NOTE = 'translucent box: where the reference wants the trunk'
+
+_ONLY = flags.DEFINE_list('only', [], 'Pictures to render; all by default.')
+_OUT = flags.DEFINE_string('out', 'docs', 'Folder to write to.')
+flags.disclaim_key_flags()
+
+# Picture -> (its file, the command that draws it).
+_COMMANDS: Mapping[str, tuple[str, str]] = {
+  'encoding.png': (
+    'encoding.png',
+    'dmc_multimode.bin.train_encoder --modes=pi2 --out={out}',
+  ),
+  **{
+    f'{name}_{kind}.png': (
+      f'{kind}.png',
+      f'dmc_multimode.bin.evaluate --policy={policy} --episodes=1 {more} '
+      '--figures={out}',
+    )
+    # The paper's figures are of the paper's observation.
+    for name, policy, kind, more in (
+      ('pi2', 'pi2_paper', 'heights', ''),
+      ('pi2', 'pi2_paper', 'sequence', ''),
+      ('pi2', 'pi2_paper', 'contacts', ''),
+      ('pi1', 'pi1', 'heights', ''),
+      ('pi3', 'pi3', 'contacts', ''),
+      ('pi_all', 'pi_all', 'heights', '--seed=1'),
+    )
+  },
+  **{
+    f'{name}_returns.png': (
+      'returns.png',
+      'dmc_multimode.bin.curves --out={out} '
+      f'--run=adaptive={{shipped}}/{run}/training.csv '
+      f'--run=uniform={{shipped}}/{name}_uniform/training.csv',
+    )
+    for name, run in (('pi1', 'pi1'), ('pi2', 'pi2_paper'))
+  },
+  'aliasing.png': (
+    'aliasing.png',
+    'benchmarks.paper.aliasing --policy=pi2_18m --policy=pi2_one_hot '
+    '--figures={out}',
+  ),
+  'collapse.png': (
+    'aliasing.png',
+    'benchmarks.paper.aliasing --policy=pi1_21m --policy=pi1_uniform '
+    '--modes=idle,leap_left --figures={out}',
+  ),
+  'switching.png': (
+    'switching.png',
+    'benchmarks.paper.switching --policy=pi2_paper --before=unimodal_walk '
+    '--after=unimodal_launch --figures={out}',
+  ),
+}
+
+
+def _film(path: pathlib.Path, **what: Any) -> None:
+  """Records pi2 into a GIF."""
+  width, height = _SIZE
+  config = viewer.RecordingConfig(width=width, height=height)
+  dmm.record(POLICY, out=path, config=config, quiet=True, **what)
+  thin(path)
+
+
+def thin(path: pathlib.Path) -> None:
+  """Drops every second frame of a GIF, for a small repository."""
+  kept, durations = [], []
+  with PIL.Image.open(path) as film:
+    for i, frame in enumerate(PIL.ImageSequence.Iterator(film)):
+      if i % 2:
+        durations[-1] += frame.info['duration']
+        continue
+      plain = PIL.Image.Dither.NONE  # Its noise compresses badly.
+      kept.append(frame.convert('RGB').quantize(_COLOURS, dither=plain))
+      durations.append(frame.info['duration'])
+  content = io.BytesIO()
+  kept[0].save(
+    content,
+    'gif',
+    save_all=True,
+    append_images=kept[1:],
+    duration=durations,
+    loop=0,
+  )
+  files.write(path, content.getvalue())
+
+
+@functools.cache
+def _plan(arena: str) -> plan_lib.PlanResult:
+  """Returns a plan of pi2's across a track.
+
+  Raises:
+    ValueError: it does not get there, and is no picture of a success.
+  """
+  found = dmm.plan(POLICY, arena=arena, seed=0, quiet=True)
+  if not found.success:
+    raise ValueError(f'The plan across {arena} does not reach its goal.')
+  return found
+
+
+def _shots(
+  config: viewer.RolloutConfig, moments: Sequence[float]
+) -> Iterator[tuple[np.ndarray, Any]]:
+  """Yields frame and step at these times, seconds."""
+  viewer.choose_backend()
+  from dmc_multimode.viewer import camera
+
+  width, height = _SIZE
+  rolled = viewer.Rollout(dmm.load_policy(POLICY), config)
+  camera.prepare(rolled.task, width, height)
+  eye = viewer.Camera(rolled.start(), rolled.task, 'side', width, height)
+  period, left = rolled.task.control_timestep, list(moments)
+  for step in rolled.steps():
+    frame = eye.render()  # In every step: the view follows the robot.
+    if left and step.time > left[0] - period / 2:
+      del left[0]
+      yield frame, step
+
+
+def _strip(
+  path: pathlib.Path, config: viewer.RolloutConfig, moments: Sequence[float]
+) -> None:
+  """Draws frames side by side, each with its mode, its time and two heights."""
+  drawn, (axes,) = figures.empty(1, len(moments), 2.2, 2.4)
+  drawn.get_layout_engine().set(h_pad=0.1)  # Inches: titles stay whole.
+  for axis, (frame, step) in zip(axes, _shots(config, moments), strict=True):
+    axis.imshow(frame)
+    axis.set(xticks=[], yticks=[])
+    axis.set_title(f'{step.mode}, {step.time:.1f} s', fontsize='medium')
+    axis.set_xlabel(
+      f'over ground {step.height:.2f} m\nover world {step.position[2]:.2f} m',
+      fontsize='small',
+    )
+  drawn.supxlabel(f'heights of the trunk; {_NOTE}', fontsize='small')
+  figures.save(path, drawn)
+
+
+def _modes(path: pathlib.Path) -> None:
+  """Draws a moment of each of pi2's modes."""
+  pairs = [part.split(':') for part in SCHEDULE.split(',')]
+  config = viewer.RolloutConfig(
+    tuple(mode for mode, _ in pairs), tuple(float(s) for _, s in pairs)
+  )
+  _strip(path, config, _MOMENTS)
+
+
+def _plan_frames(path: pathlib.Path) -> None:
+  """Draws five moments of the plan across the gap and onto the block."""
+  found = _plan('gap_block')
+  names, durations = found.plan.segments()
+  course = found.course._asdict()
+  config = viewer.RolloutConfig(
+    (*names, 'idle'), (*durations, plan_lib.REST), **course, imitation=False
+  )
+  end = sum(durations)
+  _strip(path, config, np.linspace(0.15 * end, end + 0.9, 5).tolist())
+
+
+def _plan_figure(path: pathlib.Path) -> None:
+  """Draws the plan itself."""
+  figures.save(path, dmm.draw_plan(_plan('gap_block')))
+
+
+def _command(name: str, path: pathlib.Path) -> None:
+  """Writes the picture that a command draws."""
+  made, words = _COMMANDS[name]
+  files.write(path, _drawn_by(words)[made])
+
+
+@functools.cache
+def _drawn_by(words: str) -> dict[str, bytes]:
+  """Runs a command; returns all pictures that it draws, by name.
+
+  Raises:
+    ChildProcessError: it failed.
+  """
+  shipped = pathlib.Path(pretrained.__file__).parent
+  with tempfile.TemporaryDirectory() as folder:
+    given = words.format(out=folder, shipped=shipped).split()
+    done = subprocess.run(
+      [sys.executable, '-m', *given], stdout=subprocess.DEVNULL
+    )
+    if done.returncode:
+      raise ChildProcessError(f'`{" ".join(given)}` failed.')
+    drawn = pathlib.Path(folder).glob('*.png')
+    return {picture.name: picture.read_bytes() for picture in drawn}
+
+
+def _tour(path: pathlib.Path) -> None:
+  """Runs the notebook in a kernel, and stores its outputs."""
+  import nbclient  # Of the extra `docs`.
+  import nbformat
+
+  notebook = nbformat.read(path, as_version=4)
+  with tempfile.TemporaryDirectory() as folder:
+    resources = {'metadata': {'path': folder}}
+    nbclient.NotebookClient(
+      notebook, timeout=None, resources=resources
+    ).execute()
+  for cell in notebook.cells:
+    cell.metadata.pop('execution', None)  # When, which changes every time.
+    if cell.cell_type == 'code':
+      # Bars of progress, in thousands of parts.
+      cell.outputs = [o for o in cell.outputs if o.get('name') != 'stderr']
+  nbformat.write(notebook, path)
+
+
+PICTURES: Mapping[str, Callable[[pathlib.Path], None]] = {
+  'pi2.gif': functools.partial(_film, schedule=SCHEDULE),
+  'parkour.gif': lambda path: _film(path, plan=_plan('parkour').file()),
+  'pi2.png': _modes,
+  'plan_frames.png': _plan_frames,
+  'plan.png': _plan_figure,
+  **{name: functools.partial(_command, name) for name in _COMMANDS},
+}
+_ASKED_FOR = {'tour.ipynb': _tour}
+
+
+def main(argv: Sequence[str]) -> None:
+  """Renders; prints what and how large. `argv` holds no flags."""
+  del argv
+  known = {**PICTURES, **_ASKED_FOR}
+  for name in _ONLY.value:
+    if name not in known:
+      raise ValueError(f'--only={name}: pictures are {", ".join(known)}.')
+  out = files.output_folder('out', _OUT.value)
+  if out is None:
+    raise ValueError('Say where to write: --out=FOLDER.')
+  for name in _ONLY.value or PICTURES:
+    known[name](out / name)
+    print(f'{out / name}: {(out / name).stat().st_size:,} bytes', flush=True)
+
+
+cli = functools.partial(app.run, main)
+
+
+if __name__ == '__main__':
+  cli()
