@@ -6,6 +6,11 @@ Copies the policy and the encoder to `dmc_multimode/pretrained/NAME`, the
 learning curves with fewer rows, evaluates the policy there, and writes its
 card, README.md. With --steps it is one of those that the run kept
 (--keep_every) instead of the last.
+
+    python -m benchmarks.release.ship --selector --run_dir=runs/selector --name=pi2
+
+copies the selector that `train_selector` made for the shipped pi2 beside it. A
+policy that is shipped anew has none: a selector fits one policy.
 """
 
 import csv
@@ -13,6 +18,7 @@ import functools
 import io
 import json
 import pathlib
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -25,6 +31,8 @@ from dmc_multimode import pretrained
 from dmc_multimode.bin import app
 from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.experiments import run_folder
+from dmc_multimode.planner import selector as selector_lib
+from dmc_multimode.planner import steering
 from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.utils import files as files_lib
 
@@ -37,6 +45,7 @@ _CURVE_EVERY = flags.DEFINE_integer(
   'curve_every', 100_000, 'Control steps between rows of the curves.', 1
 )
 _EPISODES = flags.DEFINE_integer('episodes', 4, 'Like those of `evaluate`.', 1)
+_SELECTOR = flags.DEFINE_bool('selector', False, 'A selector, and no policy.')
 TRAINING_FILE = 'training.csv'
 _DIGITS = 4  # Significant ones of a curve.
 _IDENTITY = ('modes', 'seed', 'one_hot')  # What no run changes on its way.
@@ -111,16 +120,40 @@ def write(files: dict[str, bytes], place: pathlib.Path) -> None:
   """Writes the files, each whole or not at all, and nothing else stays."""
   place.mkdir(parents=True, exist_ok=True)
   for path in place.iterdir():
-    if path.name not in files:
+    if path.is_dir():
+      shutil.rmtree(path)
+    elif path.name not in files:
       path.unlink()
   for name, content in files.items():
     files_lib.write(place / name, content)
+
+
+def ship_selector(run: pathlib.Path, name: str) -> pathlib.Path:
+  """Copies a run's selector beside the policy `name`; returns the folder.
+
+  Raises:
+    FileNotFoundError: the run or the policy lacks a file.
+    ValueError: the selector is damaged or of another policy.
+  """
+  found = selector_lib.load(run / steering.BESIDE)
+  if found.policy != name:
+    raise ValueError(
+      f'The selector in {run} was trained with {found.policy}, not {name}.'
+    )
+  curves = (run / 'metrics.csv').read_bytes()
+  place = shipped_folder(name) / steering.BESIDE
+  found.save(place)
+  files_lib.write(place / TRAINING_FILE, curves)
+  return place
 
 
 def main(argv: Sequence[str]) -> None:
   """Copies, then evaluates."""
   del argv
   run = pathlib.Path(_RUN_DIR.value)
+  if _SELECTOR.value:
+    print(f'Shipped in {ship_selector(run, _NAME.value)}')
+    return
   policy = run / policy_lib.RUN_SUBFOLDER
   if _STEPS.value is not None:
     policy = run / 'policies' / str(_STEPS.value)

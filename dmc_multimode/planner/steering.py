@@ -19,7 +19,7 @@ from dmc_multimode.utils import config as config_lib
 if TYPE_CHECKING:
   from dmc_multimode.planner import selector as selector_lib
 
-_BESIDE = 'selector'  # Folder of the selector in the folder of its policy.
+BESIDE = 'selector'  # Folder of the selector in the folder of its policy.
 
 
 @config_lib.dataclass
@@ -76,12 +76,12 @@ def load(
       f'The policy {os.fspath(policy)} has no selector beside it: train one by '
       'train_selector, and name its folder.'
     )
-  return selector_lib.load(environment.find_policy(policy) / _BESIDE)
+  return selector_lib.load(environment.find_policy(policy) / BESIDE)
 
 
 def is_beside(policy: str | os.PathLike[str]) -> bool:
   """Returns whether a policy has a selector beside it."""
-  return (environment.find_policy(policy) / _BESIDE).is_dir()
+  return (environment.find_policy(policy) / BESIDE).is_dir()
 
 
 def check(

@@ -7,8 +7,10 @@ import types
 from typing import Any
 
 import pytest
+import torch
 
 from dmc_multimode.experiments import config as run_config
+from dmc_multimode.planner import selector as selector_lib
 from dmc_multimode.pretrained import folder as folder_lib
 from tests.benchmarks import modules
 
@@ -53,6 +55,7 @@ def test_all_files_are_gathered_and_old_ones_go(tmp_path: pathlib.Path) -> None:
   shipped = tmp_path / 'shipped'
   shipped.mkdir()
   (shipped / 'metrics.json').write_text('of the policy before')
+  (shipped / 'selector').mkdir()
   ship.write(ship.gather(run, run / 'policies/10', 20), shipped)
   assert sorted(path.name for path in shipped.iterdir()) == [
     'encoder.json',
@@ -83,7 +86,7 @@ def test_all_that_is_shipped(
   (run / 'config.json').write_text(json.dumps({'run': provenance['run']}))
   (run / 'metrics.csv').write_text(_CSV)
   values = {'RUN_DIR': run, 'NAME': 'pi2', 'STEPS': None}
-  values |= {'CURVE_EVERY': 20, 'EPISODES': 4}
+  values |= {'CURVE_EVERY': 20, 'EPISODES': 4, 'SELECTOR': False}
   for name, value in values.items():
     flag = types.SimpleNamespace(value=value)
     monkeypatch.setattr(ship, f'_{name}', flag)
@@ -97,6 +100,28 @@ def test_all_that_is_shipped(
   monkeypatch.setattr(ship.subprocess, 'run', evaluate)
   ship.main(['ship'])
   names = {path.name for path in out.iterdir()}
-  assert names == {path.name for path in shipped.iterdir()}
+  assert names == {path.name for path in shipped.iterdir() if path.is_file()}
   for name in names - {'training.csv'}:
     assert (out / name).read_bytes() == (shipped / name).read_bytes(), name
+
+
+def test_a_selector_is_shipped_beside_its_policy(
+  tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  """The shipped one ships the same again; pi1 is not its policy."""
+  beside = folder_lib.find('pi2') / 'selector'
+  run = tmp_path / 'run'
+  shutil.copytree(beside, run / 'selector')
+  shutil.move(run / 'selector' / 'training.csv', run / 'metrics.csv')
+  monkeypatch.setattr(ship, 'shipped_folder', lambda name: tmp_path / name)
+  place = ship.ship_selector(run, 'pi2')
+  assert place == tmp_path / 'pi2' / 'selector'
+  for name in ('selector.json', 'training.csv'):
+    assert (place / name).read_bytes() == (beside / name).read_bytes(), name
+  copied, shipped = (
+    selector_lib.load(folder).network.state_dict() for folder in (place, beside)
+  )
+  assert copied.keys() == shipped.keys()
+  assert all(torch.equal(copied[name], shipped[name]) for name in shipped)
+  with pytest.raises(ValueError, match='was trained with pi2, not pi1'):
+    ship.ship_selector(run, 'pi1')
