@@ -7,7 +7,7 @@ learning curves with fewer rows, evaluates the policy there, and writes its
 card, README.md. With --steps it is one of those that the run kept
 (--keep_every) instead of the last.
 
-    python -m benchmarks.release.ship --selector --run_dir=runs/selector --name=pi2
+    python -m benchmarks.release.ship --selector --run_dir=RUN --name=pi2
 
 copies the selector that `train_selector` made for the shipped pi2 beside it. A
 policy that is shipped anew has none: a selector fits one policy.
