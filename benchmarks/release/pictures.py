@@ -159,7 +159,7 @@ def _strip(
 ) -> None:
   """Draws frames side by side, each with its mode, its time and two heights."""
   drawn, (axes,) = figures.empty(1, len(moments), 2.2, 2.4)
-  drawn.set_layout_engine('none')  # The constrained one crops titles here.
+  drawn.set_layout_engine(None)  # The constrained one crops titles here.
   drawn.subplots_adjust(0.01, 0.22, 0.99, 0.87, wspace=0.04)
   for axis, (frame, step) in zip(axes, _shots(config, moments), strict=True):
     axis.imshow(frame)
