@@ -179,15 +179,17 @@ def _reference() -> dict[str, str]:
   for page, package in order:
     full = f'{_PACKAGE}.{package}'.rstrip('.')
     level = '##' if page in pages else '#'
-    parts = [f'{level} {full}\n\n{ast.get_docstring(trees[full])}\n']
+    about = ast.get_docstring(trees[full]) or ''
+    if not package:  # The rest stands on the first page.
+      about = (
+        about.partition('\n')[0] + '\n\nIn use: [Start](../index.md#use-it).'
+      )
+    parts = [f'{level} {full}\n\n{about}\n']
     for export in _exports(full, trees[full]):
       where, name = homes[export.home]
       if name != f'{full}.{export.name}':
         link = f'{where}.md' if where != page else ''
-        parts.append(
-          f'### {full}.{export.name}\n\nThe same as '
-          f'[`{name}`]({link}#{name}).\n'
-        )
+        parts.append(f'- `{export.name}`: [`{name}`]({link}#{name})')
       else:
         form = _SUMMARY if export.is_module else _WHOLE
         parts.append(form.format(name=name))

@@ -156,8 +156,8 @@ def _draw(
     if last < len(shown) - 1:
       axis.plot(times[last], shown[last], f'C{i}X', label=f'{name}: falls')
   axis.axvline(switch, color='0.5', linewidth=0.8, label=f'{to} is commanded')
-  axis.set(xlabel='time (s)', ylabel='height of the trunk over the world (m)')
-  axis.legend(fontsize='small')
+  axis.set(xlabel='time (s)', ylabel='height over the world (m)')
+  axis.legend(fontsize='small', title='height of the trunk')
   return drawn
 
 

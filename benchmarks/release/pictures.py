@@ -159,7 +159,8 @@ def _strip(
 ) -> None:
   """Draws frames side by side, each with its mode, its time and two heights."""
   drawn, (axes,) = figures.empty(1, len(moments), 2.2, 2.4)
-  drawn.get_layout_engine().set(h_pad=0.1)  # Inches: titles stay whole.
+  drawn.set_layout_engine(None)  # The constrained one crops titles here.
+  drawn.subplots_adjust(0.01, 0.22, 0.99, 0.87, wspace=0.04)
   for axis, (frame, step) in zip(axes, _shots(config, moments), strict=True):
     axis.imshow(frame)
     axis.set(xticks=[], yticks=[])
@@ -168,7 +169,8 @@ def _strip(
       f'over ground {step.height:.2f} m\nover world {step.position[2]:.2f} m',
       fontsize='small',
     )
-  drawn.supxlabel(f'heights of the trunk; {_NOTE}', fontsize='small')
+  note = f'heights of the trunk; {_NOTE}'
+  drawn.supxlabel(note, fontsize='small', y=0.03)
   figures.save(path, drawn)
 
 

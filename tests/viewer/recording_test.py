@@ -85,8 +85,8 @@ def test_two_policies_side_by_side(tmp_path: pathlib.Path) -> None:
   twice = np.array(frames[2]).astype(int)
   assert np.abs(twice[:, :, :128] - twice[:, :, 128:]).mean() < 3
   # The ground below the robot, where no text is.
-  left, right = (np.array(frames[1])[:, 96:, x : x + 128] for x in (0, 128))
-  single = np.array(frames[0])[:, 96:].astype(int)
+  left, right = (np.array(frames[1])[:, 112:, x : x + 128] for x in (0, 128))
+  single = np.array(frames[0])[:, 112:].astype(int)
   assert np.abs(left - single).mean() < 3
   assert 0.1 < np.abs(right - single).mean() < 30
 
