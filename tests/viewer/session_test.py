@@ -196,7 +196,9 @@ def test_blends(session: session_lib.LiveSession) -> None:
     ('idle', 'walk_forward', 1.0, 'walk_forward', 'walk_forward'),
   ):
     session.blend(first, second, share)
-    state = _run(session, 3.0, lambda state: state.running == running)
+    state = _run(
+      session, 3.0, lambda state, name=running: state.running == name
+    )
     assert (state.running, state.step.mode) == (running, main)
 
 
