@@ -41,7 +41,7 @@ _JUMP = 1.5  # Metres to a target beyond which the view jumps.
 
 GHOST = (0.15, 0.55, 0.95, 0.32)
 TOP, _WALL = (0.74, 0.77, 0.80, 1.0), (0.40, 0.47, 0.56, 1.0)
-_BAND, _EDGE = (0.66, 0.695, 0.735, 1.0), (0.95, 0.60, 0.15, 1.0)
+_BAND, EDGE = (0.66, 0.695, 0.735, 1.0), (0.95, 0.60, 0.15, 1.0)
 _BAND_WIDTH = 0.25  # Metres; bands lie twice as far apart.
 _REACH = 10.0  # Metres ahead of and behind the robot with bands.
 _LIFT = 0.002  # Metres: bands and edges lie this much over the ground.
@@ -199,7 +199,7 @@ def ground_marks(terrain: terrain_lib.Terrain, x: float) -> Iterator[Box]:
       yield Box(wall, np.array([_LIFT, wide, deep]), _WALL)
       strip = np.array([edge + inside * _EDGE_WIDTH, 0, top])
       halves = np.array([_EDGE_WIDTH / 2, wide, 2 * _LIFT])
-      yield Box(strip, halves, _EDGE)
+      yield Box(strip, halves, EDGE)
     lefts = (
       2
       * _BAND_WIDTH

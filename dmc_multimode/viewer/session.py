@@ -31,6 +31,7 @@ from dmc_multimode.viewer import survival as survival_lib
 
 CLOCK_RATES = (0.5, 3.0)  # The slowest and the fastest.
 PUSH_SPEEDS = (0.0, 3.0)  # m/s.
+MOST_SEEDS = 2**32 - 1  # The largest seed that numpy takes.
 ENDLESS = 'endless'  # An obstacle course that grows ahead of the robot.
 ARENAS = (*layouts.NAMES, ENDLESS)
 SPEED_STEP = blends_lib.STEP  # Of the share of a gait's speed.
@@ -125,14 +126,23 @@ class LiveSession:
     """Names of the modes that the policy knows."""
     return self._mode_set.names
 
+  @property
+  def has_selector(self) -> bool:
+    """True if there is an autopilot."""
+    return self._selector is not None
+
+  def kind(self, mode: str) -> str:
+    """Returns the kind of a mode, one of `motion.KINDS`."""
+    return self._mode_set.motions[self._mode_set.index(mode)].kind
+
   def set_arena(self, name: str, seed: int = 0) -> None:
     """Moves the robot to the start of another track; drops the plan.
 
     Raises:
-      ValueError: the track is unknown, or the seed is negative.
+      ValueError: the track is unknown, or the seed is no seed.
     """
-    if seed < 0:
-      raise ValueError(f'seed must not be negative, got {seed}.')
+    if not 0 <= seed <= MOST_SEEDS:
+      raise ValueError(f'seed must be within 0 and {MOST_SEEDS}, got {seed}.')
     task = multimode_biped.make_task(
       self.blends.mode_set,
       # The same initial state as in a search.

@@ -35,7 +35,7 @@ _SIDES = np.array(  # Counter-clockwise from outside.
 )
 _FACES = np.concatenate([_SIDES[:, [0, 1, 2]], _SIDES[:, [0, 2, 3]]])
 _SKY = np.array([[190, 214, 235], [242, 245, 250]])  # Above and below.
-_PATH, _PATH_WIDTH = (235, 120, 40), 3.0  # Of a plan: colour, pixels.
+PATH, _PATH_WIDTH = (235, 120, 40), 3.0  # Of a plan: colour, pixels.
 
 
 class LiveScene:
@@ -140,7 +140,7 @@ class LiveScene:
       self._path = self._server.scene.add_line_segments(
         '/world/path',
         np.stack([path[:-1], path[1:]], axis=1),
-        _PATH,
+        PATH,
         thickness=_PATH_WIDTH,
         thickness_units='screen',
       )
