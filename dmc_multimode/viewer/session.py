@@ -9,8 +9,6 @@ from typing import NamedTuple, Sequence
 import numpy as np
 
 from dmc_multimode import pretrained
-from dmc_multimode.arenas import layouts
-from dmc_multimode.arenas import track
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import plan as plan_lib
@@ -25,6 +23,7 @@ from dmc_multimode.suite.reaching import problem as reaching
 from dmc_multimode.viewer import autopilot as autopilot_lib
 from dmc_multimode.viewer import blends as blends_lib
 from dmc_multimode.viewer import disturbing
+from dmc_multimode.viewer import live_track
 from dmc_multimode.viewer import plan_search
 from dmc_multimode.viewer import rollout
 from dmc_multimode.viewer import survival as survival_lib
@@ -32,10 +31,8 @@ from dmc_multimode.viewer import survival as survival_lib
 CLOCK_RATES = (0.5, 3.0)  # The slowest and the fastest.
 PUSH_SPEEDS = (0.0, 3.0)  # m/s.
 MOST_SEEDS = 2**32 - 1  # The largest seed that numpy takes.
-ENDLESS = 'endless'  # An obstacle course that grows ahead of the robot.
-ARENAS = (*layouts.NAMES, ENDLESS)
+ENDLESS, ARENAS = live_track.ENDLESS, live_track.NAMES
 SPEED_STEP = blends_lib.STEP  # Of the share of a gait's speed.
-_SEGMENTS = 32  # Segments of a track: bounds the number of ledges.
 _LIE = 1.2  # Seconds from a fall to the reset.
 _FALLEN = terminations.CAUSES[terminations.BASE_HEIGHT]
 _INVALID = terminations.CAUSES[terminations.NON_FINITE]
@@ -131,10 +128,6 @@ class LiveSession:
     """True if there is an autopilot."""
     return self._selector is not None
 
-  def kind(self, mode: str) -> str:
-    """Returns the kind of a mode, one of `motion.KINDS`."""
-    return self._mode_set.motions[self._mode_set.index(mode)].kind
-
   def set_arena(self, name: str, seed: int = 0) -> None:
     """Moves the robot to the start of another track; drops the plan.
 
@@ -147,9 +140,7 @@ class LiveSession:
       self.blends.mode_set,
       # The same initial state as in a search.
       episodes.ScheduledEpisodes(schedule_lib.single(np.zeros(1))),
-      track.endless(self._difficulty)
-      if name == ENDLESS
-      else track.make(name, _SEGMENTS),
+      live_track.make(name, self._difficulty),
       task_config.evaluated(
         self._policy.config,
         limits=terminations.NO_LIMITS,
@@ -165,16 +156,12 @@ class LiveSession:
     self._survival.restart()
     if self._selector:
       self._pilot = autopilot_lib.Autopilot(
-        self._selector, self._policy, self.robot, self._goal()
+        self._selector,
+        self._policy,
+        self.robot,
+        live_track.goal(self.robot, name, seed),
       )
     self._start('')
-
-  def _goal(self) -> tuple[float, float, float] | None:
-    """Returns the track's goal, metres; None where it has no end."""
-    if self.arena in (ENDLESS, 'flat'):
-      return None
-    terrain = self.robot.task.root_entity.terrain
-    return reaching.problem(self.arena, terrain, self.seed).goal
 
   def set_autopilot(self, on: bool) -> None:
     """Hands the robot over to the selector, or takes it back.
@@ -217,15 +204,12 @@ class LiveSession:
     """
     self._mode_set.index(mode)  # Raises for what is none of the policy's.
     self._replayed, self.autopilot = None, False
-    index = self._index(self.blends.slower(mode, self.speed) or mode)
+    blend = self.blends.slower(mode, self.speed)
+    index = self.robot.task.mode_set.index(blend or mode)
     if self.robot.task.mode_set.motions[index].ledge and self.clock_rate != 1:
       self.set_clock_rate(1.0)
       self.notice = f'{mode} keeps its own clock rate.'
     self.robot.command(index)
-
-  def _index(self, mode: str) -> int:
-    """Returns the index of a mode or blend in the task."""
-    return self.robot.task.mode_set.index(mode)
 
   def command_next(self, steps: int) -> None:
     """Commands the mode that is so many after the running one, in a ring."""
@@ -246,7 +230,7 @@ class LiveSession:
     if name is None:
       raise ValueError(f'{first} and {second} cannot be blended.')
     self._replayed, self.autopilot = None, False
-    self.robot.command(self._index(name))
+    self.robot.command(self.robot.task.mode_set.index(name))
 
   def disturbance(self, name: str) -> float:
     """Returns one of `disturbing.RANGES` as it is."""
@@ -316,7 +300,7 @@ class LiveSession:
     """
     if self._search:
       raise ValueError('A plan is being searched for already.')
-    if self.arena == ENDLESS:
+    if self.arena == live_track.ENDLESS:
       raise ValueError('An endless track has no goal to plan to.')
     terrain = self.robot.task.root_entity.terrain
     problem = reaching.problem(self.arena, terrain, self.seed)
@@ -339,7 +323,7 @@ class LiveSession:
   def step(self) -> LiveState:
     """Advances by one control step; resets a robot some time after a fall."""
     self._take_plan()
-    self._extend_track()
+    live_track.extend(self.robot)
     self._follow_plan()
     self._follow_pilot()
     if not self.robot.over:
@@ -350,10 +334,9 @@ class LiveSession:
       self._lie()
     else:
       self._survival.stand(self.robot.task.control_timestep)
-    running = self._last.mode
     return LiveState(
-      self._last._replace(mode=self.blends.main(running)),
-      running,
+      self._last._replace(mode=self.blends.main(self._last.mode)),
+      self._last.mode,
       self._survival.now,
       self._lying > 0,
       self.notice,
@@ -394,17 +377,6 @@ class LiveSession:
     self.notice = (
       f'A plan that {fate}, found in {self._plan.solve_seconds:.1f} s.'
     )
-
-  def _extend_track(self) -> None:
-    """Puts obstacles ahead of the robot on an endless track."""
-    arena = self.robot.task.root_entity
-    if isinstance(arena, track.EndlessTrack) and not self.robot.over:
-      core, x = self.robot.task.core, float(self.robot.position[0])
-      terrain = arena.extended(
-        core.terrain, x, self.robot.environment.random_state
-      )
-      if terrain is not None:
-        self.robot.task.set_terrain(self.robot.physics, terrain)
 
   def _follow_pilot(self) -> None:
     """Issues the selector's mode."""

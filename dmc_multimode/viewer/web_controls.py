@@ -94,15 +94,14 @@ class Controls:
 
   def add_modes(self) -> None:
     """Adds a button and a digit for every mode, by kinds."""
-    modes = list(enumerate(self._session.modes))
+    modes = self._session.modes
+    motions = self._session.blends.mode_set.motions
     for kind, label in _KINDS.items():
-      mine = [
-        (i, name) for i, name in modes if self._session.kind(name) == kind
-      ]
+      mine = [i for i in range(len(modes)) if motions[i].kind == kind]
       if mine:
         with self._gui.add_folder(label):
-          for i, name in mine:
-            self._add_mode(i, name)
+          for i in mine:
+            self._add_mode(i, modes[i])
     last = min(_DIGITS, len(modes))
     self.keys.append((f'1 to {last}', 'modes, by the digits on their buttons'))
     self.bind('B', 'previous mode', lambda: self._session.command_next(-1))
