@@ -47,15 +47,15 @@
       toggleHelp(false);
     }
   });
-  const mirror = add('div', 'dmm-mirror');
+  const mirror = add('div', 'dmm-mirror', '<div></div><div></div>');
   setInterval(() => {
-    const status = document.getElementById('dmm-status');
-    const content = status ? status.innerHTML : '';
-    if (mirror.innerHTML !== content) mirror.innerHTML = content;
+    ['dmm-status', 'dmm-notice'].forEach((id, i) => {
+      const content = document.getElementById(id)?.innerHTML ?? '';
+      const shown = mirror.children[i];
+      if (shown.innerHTML !== content) shown.innerHTML = content;
+    });
   }, 200);
-  // By pointerdown: the status is drawn anew several times a second, and what
-  // is pressed may be gone before a click.
-  document.addEventListener('pointerdown', (event) => {
+  document.addEventListener('click', (event) => {
     if (event.target.closest('.dmm-dismiss')) press('Escape');
   });
 

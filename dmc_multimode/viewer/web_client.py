@@ -62,11 +62,11 @@ div:has(> div > button[id]):not(:has(> div > :not(button[id]))) > div {
 #dmm-mirror { display: none; }
 @media (max-width: 799px) {
   #dmm-legend { display: none; }
-  #dmm-mirror:not(:empty) { display: block; position: fixed; left: 8px;
-    right: 60px; bottom: 12px; padding: 6px 10px; z-index: 4; }
-  #dmm-mirror { max-width: 430px; } }
+  #dmm-mirror { display: block; position: fixed; left: 8px;
+    right: 60px; bottom: 12px; max-width: 430px; padding: 6px 10px;
+    z-index: 4; } }
 @media (max-width: 575px) {
-  #dmm-mirror:not(:empty) { right: 8px; bottom: 3.9em; max-width: none; } }
+  #dmm-mirror { right: 8px; bottom: 3.9em; max-width: none; } }
 """
 
 

@@ -60,6 +60,7 @@ class Page:
     server.gui.set_panel_label(web_client.LABEL)
     server.gui.main_panel.dock_right()
     self._status = server.gui.add_html('')
+    self._notice = server.gui.add_html(web_status.notice(''))
     self._controls = web_controls.Controls(server.gui, session, self._ask)
     self._controls.add_modes()
     self._controls.add_speeds()
@@ -109,7 +110,13 @@ class Page:
       self._status.content = web_status.status(
         state, self._session, self._recorder.progress
       )
-      self._record.label = self._recorder.label
+      # Only when it changes, so that a click does not miss what it hits.
+      for handle, prop, value in (
+        (self._notice, 'content', web_status.notice(state.notice)),
+        (self._record, 'label', self._recorder.label),
+      ):
+        if getattr(handle, prop) != value:
+          setattr(handle, prop, value)
       if self._requests.empty():
         self._controls.update(step.mode)
       self._show_plots()

@@ -38,16 +38,23 @@ def status(
     lines.append(f'plan: {describe(state.plan.plan)}')
   if take:
     lines.append(f'<span style="color:#c92a2a">&#9679;</span> {take}')
-  text = '<br>'.join(lines)
-  if state.notice:
-    text += (
-      f'<div class="dmm-notice" role="status">'
-      f'<span>{html.escape(state.notice)}</span><button class="dmm-dismiss" '
-      'title="Dismiss (Escape)" aria-label="dismiss">&times;</button></div>'
+  return (
+    '<div id="dmm-status" style="padding: 0 1em; font-size: 0.9em; '
+    f'min-height: 6em">{"<br>".join(lines)}</div>'
+  )
+
+
+def notice(text: str) -> str:
+  """Returns a notice that can be dismissed; an empty place for none."""
+  if text:
+    text = (
+      f'<div class="dmm-notice" role="status"><span>{html.escape(text)}</span>'
+      '<button class="dmm-dismiss" title="Dismiss (Escape)" '
+      'aria-label="dismiss">&times;</button></div>'
     )
   return (
-    '<div id="dmm-status" style="padding: 0 1em 0.5em; font-size: 0.9em; '
-    f'min-height: 6.5em">{text}</div>'
+    '<div id="dmm-notice" style="padding: 0 1em 0.5em; font-size: 0.9em; '
+    f'min-height: 2.2em">{text}</div>'
   )
 
 

@@ -81,7 +81,7 @@ def _mode(page: Any, mode: str) -> None:
 
 
 def _notice(page: Any, text: str) -> None:
-  _status(page).locator('.dmm-notice', has_text=text).wait_for()
+  page.locator('#dmm-notice', has_text=text).wait_for()
 
 
 def _track(page: Any, name: str) -> None:
@@ -149,8 +149,8 @@ def test_notices_stay_in_odd_orders(page: Any) -> None:
   _notice(page, 'A plan that')
   page.keyboard.press('x')
   _status(page).get_by_text('(plan)').wait_for()
-  page.locator('#dmm-status .dmm-dismiss').click()
-  page.locator('#dmm-status .dmm-notice').wait_for(state='detached')
+  page.locator('#dmm-notice .dmm-dismiss').click()
+  page.locator('#dmm-notice .dmm-notice').wait_for(state='detached')
   _track(page, 'flat')
 
 
