@@ -66,7 +66,6 @@
   const leave = () => {
     if (isField(document.activeElement)) document.activeElement.blur();
   };
-  const soon = () => setTimeout(leave, 0); // After the field's own handlers.
   let idle = 0;
   const wait = () => {
     clearTimeout(idle);
@@ -83,11 +82,7 @@
   document.addEventListener(
     'keydown',
     (event) => {
-      const typing = event.target.closest?.('input, textarea');
-      if (typing) {
-        if (event.key === 'Enter' || event.key === 'Escape') soon();
-        return;
-      }
+      if (event.target.closest?.('input, textarea')) return;
       if (event.ctrlKey || event.metaKey || event.altKey) return;
       if (event.key === '?' || event.key.toLowerCase() === 'h') toggleHelp();
       else if (event.key === 'Escape' && !help.hidden) {
@@ -105,8 +100,12 @@
     },
     true,
   );
+  // These bubble: the field's own handlers, which are React's, come first.
+  document.addEventListener('keydown', (event) => {
+    if (event.key === 'Enter' || event.key === 'Escape') leave();
+  });
   document.addEventListener('click', (event) => {
-    if (event.target.closest('[role="option"]')) soon();
+    if (event.target.closest('[role="option"]')) leave();
     const button = event.target.closest('button');
     if (button && !button.closest('[role="dialog"]')) button.blur();
   });

@@ -65,6 +65,7 @@ div:has(> div > button[id]):not(:has(> div > :not(button[id]))) > div {
   #dmm-mirror { display: block; position: fixed; left: 8px;
     right: 60px; bottom: 12px; max-width: 430px; padding: 6px 10px;
     z-index: 4; } }
+@media (max-height: 520px) { #dmm-legend { display: none; } }
 @media (max-width: 575px) {
   #dmm-mirror { right: 8px; bottom: 3.9em; max-width: none; } }
 """
@@ -112,7 +113,7 @@ def legend(
       'orange edge: end of a box of the track',
     ),
     Mark(
-      f'border-top:3px dotted rgb{tuple(path)};height:0',
+      f'border-top:2px solid rgb{tuple(path)};height:0',
       'line: way of the trunk in the plan',
     ),
   ]

@@ -8,7 +8,7 @@ from typing import Any, Iterator
 
 import pytest
 
-PATIENCE = 120.0  # Seconds for a page, drawn in software on a busy machine.
+PATIENCE = 300.0  # Seconds for a page, drawn in software on a busy machine.
 # As root it has no sandbox.
 _CHROMIUM = ['--no-sandbox', '--enable-unsafe-swiftshader']
 _CHROMIUM += ['--use-angle=swiftshader']

@@ -7,16 +7,15 @@ flat track. Set PAGE_SCREENSHOTS to a folder to keep what the pages show.
 import os
 import pathlib
 import re
-import signal
-import time
+import subprocess
+import sys
 from typing import Any, Iterator
 
 import pytest
 
-from tests.bin import processes
 from tests.viewer import browsers
 
-_WIDTH, _HEIGHT = 960, 640  # Pixels; few of them are drawn on.
+_WIDTH, _HEIGHT = 820, 400  # Pixels; few of them are drawn on.
 # A gamepad whose buttons a test presses.
 _PAD = """
 window.pad = {mapping: 'standard', axes: [0, 0, 0, 0],
@@ -28,29 +27,28 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope='module')
-def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-  folder = tmp_path_factory.mktemp('server')
-  view = processes.Binary('view', folder)
-  process = view.start('--policy=pi2', '--port=0')
-  out, begun = folder / 'stdout', time.monotonic()
-  while not (out.exists() and out.read_text().endswith('\n')):
-    assert time.monotonic() - begun < browsers.PATIENCE
-    time.sleep(0.1)
-  yield out.read_text().strip()
-  processes.send(process, signal.SIGINT)
-  done = view.wait()
-  view.close()
-  assert (done.code, done.stderr) == (0, '')
+def url() -> Iterator[str]:
+  """The address of a page, served by a process of its own."""
+  command = [sys.executable, '-m', 'dmc_multimode.bin.view', '--port=0']
+  with subprocess.Popen(
+    command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+  ) as process:
+    assert process.stdout and process.stderr
+    yield process.stdout.readline().strip()
+    process.terminate()
+    assert process.stderr.read() == ''
 
 
 @pytest.fixture(scope='module')
 def browser() -> Iterator[Any]:
+  """A headless browser, for all tests."""
   with browsers.chromium() as found:
     yield found
 
 
 @pytest.fixture
 def page(browser: Any, url: str) -> Iterator[Any]:
+  """A page of it, with the robot at rest."""
   page = browsers.new_page(browser, _WIDTH, _HEIGHT)
   _visit(page, url)
   page.keyboard.press('r')
