@@ -20,6 +20,7 @@ _DATA = {  # Folder -> pattern of the files that must be shipped.
   'flags': '*.flags',
   'pretrained': '**/*',
   'evaluation': '*.j2',
+  'viewer': '*.js',
 }
 _USER = _ROOT / 'tests' / 'typing' / 'user_script.py'
 

@@ -1,5 +1,6 @@
 """Cameras that follow the robot, and visual decorations of a scene."""
 
+import copy
 from typing import Any, Iterator, Mapping, NamedTuple, Sequence
 
 from dm_control.mujoco import engine
@@ -9,6 +10,7 @@ from scipy.spatial import transform
 
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.suite.imitation import composer_task
+from dmc_multimode.viewer import rollout
 
 
 class View(NamedTuple):
@@ -39,12 +41,12 @@ _JUMP = 1.5  # Metres to a target beyond which the view jumps.
 
 GHOST = (0.15, 0.55, 0.95, 0.32)
 TOP, _WALL = (0.74, 0.77, 0.80, 1.0), (0.40, 0.47, 0.56, 1.0)
-_BAND, _EDGE = (0.66, 0.695, 0.735, 1.0), (0.95, 0.60, 0.15, 1.0)
+_BAND, EDGE = (0.66, 0.695, 0.735, 1.0), (0.95, 0.60, 0.15, 1.0)
 _BAND_WIDTH = 0.25  # Metres; bands lie twice as far apart.
 _REACH = 10.0  # Metres ahead of and behind the robot with bands.
 _LIFT = 0.002  # Metres: bands and edges lie this much over the ground.
 _EDGE_WIDTH = 0.025  # Metres.
-_EXTRA_GEOMS = 400
+EXTRA_GEOMS = 400  # Places for decorations in a scene.
 
 
 class Aim:
@@ -108,7 +110,7 @@ class Camera:
       height,
       width,
       camera,
-      max_geom=physics.model.ngeom + _EXTRA_GEOMS,
+      max_geom=physics.model.ngeom + EXTRA_GEOMS,
       scene_callback=self._decorate,
     )
 
@@ -138,7 +140,7 @@ class Camera:
     if self._ghost:
       position, rotation = reference_pose(self._task, x)
       boxes.append(Box(position, self._trunk_size, GHOST, rotation))
-    _add_boxes(scene, boxes)
+    add_boxes(scene, boxes)
 
 
 def prepare(task: composer_task.Imitation, width: int, height: int) -> None:
@@ -197,7 +199,7 @@ def ground_marks(terrain: terrain_lib.Terrain, x: float) -> Iterator[Box]:
       yield Box(wall, np.array([_LIFT, wide, deep]), _WALL)
       strip = np.array([edge + inside * _EDGE_WIDTH, 0, top])
       halves = np.array([_EDGE_WIDTH / 2, wide, 2 * _LIFT])
-      yield Box(strip, halves, _EDGE)
+      yield Box(strip, halves, EDGE)
     lefts = (
       2
       * _BAND_WIDTH
@@ -215,7 +217,25 @@ def ground_marks(terrain: terrain_lib.Terrain, x: float) -> Iterator[Box]:
         yield Box(centre, halves, _BAND, shape=mujoco.mjtGeom.mjGEOM_PLANE)
 
 
-def _add_boxes(scene: Any, boxes: Sequence[Box]) -> None:
+def segments(terrain: terrain_lib.Terrain) -> list[Box]:
+  """Returns the boxes of a terrain, a batch of one."""
+  centres, halves = terrain_lib.boxes(terrain)
+  used = np.isfinite(terrain.starts[0])
+  return [
+    Box(centre, half, TOP)
+    for centre, half in zip(centres[0][used], halves[0][used], strict=True)
+  ]
+
+
+def without_ground(robot: rollout.Robot) -> mujoco.MjModel:
+  """Returns a copy of a robot's model with an invisible ground."""
+  model = copy.deepcopy(robot.physics.model.ptr)
+  ground = robot.physics.bind(robot.task.root_entity.ground_geoms).element_id
+  model.geom_rgba[ground, 3] = 0.0
+  return model
+
+
+def add_boxes(scene: Any, boxes: Sequence[Box]) -> None:
   """Adds boxes to a scene, up to its capacity."""
   first = scene.ngeom
   scene.ngeom = min(first + len(boxes), scene.maxgeom)

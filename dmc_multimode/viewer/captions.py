@@ -150,6 +150,13 @@ def draw(
     timeline: the schedule.
     progress: elapsed share of the recording, in [0, 1].
   """
+  image = PIL.Image.fromarray(label(frame, caption))
+  _bar(image, timeline, progress)
+  return np.asarray(image)
+
+
+def label(frame: np.ndarray, caption: Caption) -> np.ndarray:
+  """Returns a copy of a frame, uint8 [H, W, 3], with a caption."""
   image = PIL.Image.fromarray(frame)
   size = max(9, round(image.height / 28))
   texts = [(caption.title, round(1.5 * size), colour(caption.mode))]
@@ -157,7 +164,6 @@ def draw(
   if caption.warning:
     texts.append((caption.warning, size, _WARNING))
   _panel(image, texts, size)
-  _bar(image, timeline, progress)
   return np.asarray(image)
 
 

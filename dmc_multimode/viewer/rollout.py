@@ -17,6 +17,7 @@ from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import composer_task
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes
+from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import durations
@@ -124,6 +125,14 @@ class Robot:
     self.physics.forward()
     # Commanding the running mode only renews the observation.
     self.command(int(self.task.core.tracker.state.mode[0]))
+
+  def set_events(self, changed: events.TrainingEvents) -> None:
+    """Replaces disturbances, pushes and sensor noise from now on.
+
+    Raises:
+      ValueError: see `composer_task.Imitation.set_events`.
+    """
+    self.task.set_events(self.physics, changed, self._environment.random_state)
 
   def action(self) -> np.ndarray:
     """Returns the policy's joint targets for the current observation, [10]."""

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import os
+import pathlib
 import socket
 import time
 from typing import Mapping, TYPE_CHECKING
@@ -87,7 +88,7 @@ def view(
 
       window.run(session)
     else:
-      _serve(session, host, port)
+      _serve(session, pathlib.Path(policy).name, host, port)
 
 
 def _check_display() -> None:
@@ -123,7 +124,9 @@ def check_address(host: str, port: int) -> None:
       raise OSError(f'--port={port}: {error.strerror}.') from error
 
 
-def _serve(session: 'session_lib.LiveSession', host: str, port: int) -> None:
+def _serve(
+  session: 'session_lib.LiveSession', name: str, host: str, port: int
+) -> None:
   """Serves the page and runs the session in real time."""
   try:
     import viser
@@ -138,9 +141,10 @@ def _serve(session: 'session_lib.LiveSession', host: str, port: int) -> None:
   with silence:
     server = viser.ViserServer(host, port, verbose=False)
   try:
-    page = web_page.Page(server, session)
+    page = web_page.Page(server, session, name)
     print(f'http://{host}:{server.get_port()}', flush=True)
-    _run(session, page)
+    with contextlib.closing(page):
+      _run(session, page)
   finally:
     with silence:
       server.stop()

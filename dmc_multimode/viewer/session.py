@@ -4,16 +4,11 @@ The caller calls `step` once a control period and other methods in between, all
 from one thread. A search for a plan runs in its own thread.
 """
 
-from concurrent import futures
-import threading
 from typing import NamedTuple, Sequence
 
 import numpy as np
 
 from dmc_multimode import pretrained
-from dmc_multimode.arenas import layouts
-from dmc_multimode.arenas import track
-from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import plan as plan_lib
@@ -25,75 +20,32 @@ from dmc_multimode.suite.imitation import episodes
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.suite.reaching import problem as reaching
-from dmc_multimode.utils import durations
 from dmc_multimode.viewer import autopilot as autopilot_lib
+from dmc_multimode.viewer import blends as blends_lib
+from dmc_multimode.viewer import disturbing
+from dmc_multimode.viewer import live_track
+from dmc_multimode.viewer import plan_search
 from dmc_multimode.viewer import rollout
+from dmc_multimode.viewer import survival as survival_lib
 
 CLOCK_RATES = (0.5, 3.0)  # The slowest and the fastest.
 PUSH_SPEEDS = (0.0, 3.0)  # m/s.
-ENDLESS = 'endless'  # An obstacle course that grows ahead of the robot.
-ARENAS = (*layouts.NAMES, ENDLESS)
-SPEED_STEP = 0.1  # Of the share of a gait's speed that is commanded.
-_SEGMENTS = 32  # Segments of a track: bounds the number of ledges.
+MOST_SEEDS = 2**32 - 1  # The largest seed that numpy takes.
+ENDLESS, ARENAS = live_track.ENDLESS, live_track.NAMES
+SPEED_STEP = blends_lib.STEP  # Of the share of a gait's speed.
 _LIE = 1.2  # Seconds from a fall to the reset.
 _FALLEN = terminations.CAUSES[terminations.BASE_HEIGHT]
 _INVALID = terminations.CAUSES[terminations.NON_FINITE]
-
-
-class PlanSearch:
-  """A search for a plan in a thread.
-
-  Attributes:
-    status: progress of the search.
-  """
-
-  def __init__(
-    self,
-    policy: pretrained.Policy,
-    arena: str,
-    config: reaching.ReachingConfig,
-    planner: beam_search.BeamConfig,
-    threads: int,
-  ):
-    """Starts the search; for the arguments see `solver.Solver`."""
-    self.status = solver.Status('compiling', 0, 1, 0.0, np.inf)
-    self._cancelled = threading.Event()
-    executor = futures.ThreadPoolExecutor(1)
-    self._found = executor.submit(
-      lambda: solver.Solver(policy, arena, config, planner, threads).solve(
-        self._report
-      )
-    )
-    executor.shutdown(wait=False)  # The exception ends the thread.
-
-  @property
-  def done(self) -> bool:
-    """True once the search is over."""
-    return self._found.done()
-
-  def result(self) -> plan_lib.PlanResult:
-    """Returns the best plan that was found.
-
-    Raises:
-      ValueError: the problem is invalid.
-    """
-    return self._found.result()
-
-  def cancel(self) -> None:
-    """Ends the search at the next knot."""
-    self._cancelled.set()
-
-  def _report(self, status: solver.Status) -> None:
-    if self._cancelled.is_set():
-      raise futures.CancelledError
-    self.status = status
 
 
 class LiveState(NamedTuple):
   """State of a session after a step.
 
   Attributes:
-    step: of the robot; the last finite one after a divergence.
+    step: of the robot; the last finite one after a divergence. Of a blend, its
+      mode is the one that `blends.Blends.main` names.
+    running: name of the mode or blend that runs.
+    survival: how long the robot has stayed up, and how often it has fallen.
     down: whether the robot has fallen, or its state is not finite.
     notice: message for people; may be empty.
     searching: progress of the search for a plan; None without one.
@@ -102,6 +54,8 @@ class LiveState(NamedTuple):
   """
 
   step: rollout.Step
+  running: str
+  survival: survival_lib.Survival
   down: bool
   notice: str
   searching: solver.Status | None
@@ -119,6 +73,7 @@ class LiveSession:
     autopilot: whether the selector commands the robot.
     clock_rate: of the modes, 1 being their own.
     speed: share of the speed of gaits, by a blend with the mode of rest.
+    blends: of the policy's modes, which `blend` commands.
     notice: see `LiveState`.
   """
 
@@ -151,11 +106,11 @@ class LiveSession:
     """
     self._policy, self._planner = policy, planner or beam_search.BeamConfig()
     self._mode_set, self._threads = policy.mode_set, threads
-    self._slower = _slower_gaits(policy.mode_set)
-    self._gait_of = {blend: gait for (gait, _), blend in self._slower.items()}
+    self.blends = blends_lib.Blends(policy.mode_set)
     self.speed = 1.0
+    self._survival = survival_lib.SurvivalCount()
     self._replayed: plan_lib.ModePlan | None = None
-    self._search: PlanSearch | None = None
+    self._search: plan_search.PlanSearch | None = None
     self._disturbed = disturbed
     self._selector, self._difficulty = selector, difficulty
     self._pilot: autopilot_lib.Autopilot | None = None
@@ -168,21 +123,24 @@ class LiveSession:
     """Names of the modes that the policy knows."""
     return self._mode_set.names
 
+  @property
+  def has_selector(self) -> bool:
+    """True if there is an autopilot."""
+    return self._selector is not None
+
   def set_arena(self, name: str, seed: int = 0) -> None:
     """Moves the robot to the start of another track; drops the plan.
 
     Raises:
-      ValueError: the track is unknown, or the seed is negative.
+      ValueError: the track is unknown, or the seed is no seed.
     """
-    if seed < 0:
-      raise ValueError(f'seed must not be negative, got {seed}.')
+    if not 0 <= seed <= MOST_SEEDS:
+      raise ValueError(f'seed must be within 0 and {MOST_SEEDS}, got {seed}.')
     task = multimode_biped.make_task(
-      mode_set_lib.with_blends(self._mode_set, [*self._gait_of]),
+      self.blends.mode_set,
       # The same initial state as in a search.
       episodes.ScheduledEpisodes(schedule_lib.single(np.zeros(1))),
-      track.endless(self._difficulty)
-      if name == ENDLESS
-      else track.make(name, _SEGMENTS),
+      live_track.make(name, self._difficulty),
       task_config.evaluated(
         self._policy.config,
         limits=terminations.NO_LIMITS,
@@ -195,18 +153,15 @@ class LiveSession:
     self.close()
     self._plan: plan_lib.PlanResult | None = None
     self.robot.start()
+    self._survival.restart()
     if self._selector:
       self._pilot = autopilot_lib.Autopilot(
-        self._selector, self._policy, self.robot, self._goal()
+        self._selector,
+        self._policy,
+        self.robot,
+        live_track.goal(self.robot, name, seed),
       )
-    self._start()
-
-  def _goal(self) -> tuple[float, float, float] | None:
-    """Returns the track's goal, metres; None where it has no end."""
-    if self.arena in (ENDLESS, 'flat'):
-      return None
-    terrain = self.robot.task.root_entity.terrain
-    return reaching.problem(self.arena, terrain, self.seed).goal
+    self._start('')
 
   def set_autopilot(self, on: bool) -> None:
     """Hands the robot over to the selector, or takes it back.
@@ -226,9 +181,14 @@ class LiveSession:
     self.robot.reset()
     self._start()
 
-  def _start(self, notice: str = '') -> None:
-    """Clears the state of before a reset."""
-    self.notice = notice
+  def dismiss(self) -> None:
+    """Clears the notice, which stays until then or until the next one."""
+    self.notice = ''
+
+  def _start(self, notice: str | None = None) -> None:
+    """Clears the state of before a reset; keeps the notice if None."""
+    if notice is not None:
+      self.notice = notice
     self._replayed = None
     self._lying, self._last = 0, self.robot.here()
     self.set_clock_rate(self.clock_rate)
@@ -242,15 +202,53 @@ class LiveSession:
       ValueError: the policy does not know the mode, or the mode needs a ledge
         and the track has no segment left.
     """
-    index = self._mode_set.index(mode)
-    self._replayed, self.notice, self.autopilot = None, '', False
-    slower = self._slower.get((mode, round(self.speed, 2)))
-    if slower:
-      index = self.robot.task.mode_set.index(slower)
+    self._mode_set.index(mode)  # Raises for what is none of the policy's.
+    self._replayed, self.autopilot = None, False
+    blend = self.blends.slower(mode, self.speed)
+    index = self.robot.task.mode_set.index(blend or mode)
     if self.robot.task.mode_set.motions[index].ledge and self.clock_rate != 1:
       self.set_clock_rate(1.0)
       self.notice = f'{mode} keeps its own clock rate.'
     self.robot.command(index)
+
+  def command_next(self, steps: int) -> None:
+    """Commands the mode that is so many after the running one, in a ring."""
+    index = self.modes.index(self.blends.main(self.robot.task.mode))
+    self.command(self.modes[(index + steps) % len(self.modes)])
+
+  def blend(self, first: str, second: str, share: float) -> None:
+    """Commands a blend of two modes, whatever the speed of gaits is.
+
+    Args:
+      first, second: names of modes.
+      share: of the second, one of 0, 0.1, ... 1.
+
+    Raises:
+      ValueError: the modes cannot be blended, or the share is another.
+    """
+    name = self.blends.find(first, second, share)
+    if name is None:
+      raise ValueError(f'{first} and {second} cannot be blended.')
+    self._replayed, self.autopilot = None, False
+    self.robot.command(self.robot.task.mode_set.index(name))
+
+  def disturbance(self, name: str) -> float:
+    """Returns one of `disturbing.RANGES` as it is."""
+    return disturbing.value(self._disturbed, name)
+
+  def disturb(self, **values: float) -> None:
+    """Changes what is wrong with the robot from now on, where it is.
+
+    Args:
+      **values: by the names of `disturbing.RANGES`; others stay.
+
+    Raises:
+      ValueError: a number is out of bounds; all is as before.
+    """
+    changed = disturbing.changed(self._disturbed, **values)
+    self.robot.set_events(changed)
+    self._disturbed = changed
+    self._survival.restart()
 
   def push(self, velocity: Sequence[float]) -> None:
     """Adds to the velocity of the trunk, world m/s (x, y).
@@ -273,13 +271,9 @@ class LiveSession:
     if not (0.5 < steps < 10.5 and abs(steps - round(steps)) < 1e-6):
       raise ValueError(f'A speed is one of 0.1, 0.2, ... 1, got {speed}.')
     self.speed = round(steps) * SPEED_STEP
-    mode = self._base(self.robot.task.mode)
-    if (mode, SPEED_STEP) in self._slower:
+    mode = self.blends.main(self.robot.task.mode)
+    if self.blends.slower(mode, SPEED_STEP):
       self.command(mode)
-
-  def _base(self, mode: str) -> str:
-    """Returns the mode of the policy that a mode of the task is or blends."""
-    return self._gait_of.get(mode, mode)
 
   def set_clock_rate(self, rate: float) -> None:
     """Sets the rate at which the modes run from now on.
@@ -306,14 +300,13 @@ class LiveSession:
     """
     if self._search:
       raise ValueError('A plan is being searched for already.')
-    if self.arena == ENDLESS:
+    if self.arena == live_track.ENDLESS:
       raise ValueError('An endless track has no goal to plan to.')
     terrain = self.robot.task.root_entity.terrain
     problem = reaching.problem(self.arena, terrain, self.seed)
-    self._search = PlanSearch(
+    self._search = plan_search.PlanSearch(
       self._policy, self.arena, problem, self._planner, self._threads
     )
-    self.notice = ''
 
   def replay(self) -> None:
     """Carries out the plan from the start, at the modes' own clock rate.
@@ -330,7 +323,7 @@ class LiveSession:
   def step(self) -> LiveState:
     """Advances by one control step; resets a robot some time after a fall."""
     self._take_plan()
-    self._extend_track()
+    live_track.extend(self.robot)
     self._follow_plan()
     self._follow_pilot()
     if not self.robot.over:
@@ -339,8 +332,12 @@ class LiveSession:
       self._last = self._last._replace(cause=_INVALID)
     if self._lying or self._last.cause in (_FALLEN, _INVALID):
       self._lie()
+    else:
+      self._survival.stand(self.robot.task.control_timestep)
     return LiveState(
-      self._last._replace(mode=self._base(self._last.mode)),
+      self._last._replace(mode=self.blends.main(self._last.mode)),
+      self._last.mode,
+      self._survival.now,
       self._lying > 0,
       self.notice,
       self._search.status if self._search else None,
@@ -360,6 +357,7 @@ class LiveSession:
       fell = self._last.cause == _FALLEN
       self.notice = 'It has fallen.' if fell else 'Its state is not finite.'
       self._replayed = None
+      self._survival.fall()
     self._lying += 1
     if self._lying * self.robot.task.control_timestep > _LIE:
       self.robot.reset()
@@ -380,17 +378,6 @@ class LiveSession:
       f'A plan that {fate}, found in {self._plan.solve_seconds:.1f} s.'
     )
 
-  def _extend_track(self) -> None:
-    """Puts obstacles ahead of the robot on an endless track."""
-    arena = self.robot.task.root_entity
-    if isinstance(arena, track.EndlessTrack) and not self.robot.over:
-      core, x = self.robot.task.core, float(self.robot.position[0])
-      terrain = arena.extended(
-        core.terrain, x, self.robot.environment.random_state
-      )
-      if terrain is not None:
-        self.robot.task.set_terrain(self.robot.physics, terrain)
-
   def _follow_pilot(self) -> None:
     """Issues the selector's mode."""
     if self.autopilot and self._pilot and not (self._lying or self.robot.over):
@@ -402,30 +389,9 @@ class LiveSession:
     """Issues the active plan's mode for the current knot."""
     if self._replayed is None:
       return
-    task = self.robot.task
-    knot_steps = durations.whole_steps(
-      self._replayed.knot_duration, task.control_timestep, 'A knot'
-    )
-    knot, rest = divmod(int(task.core.tracker.state.step[0]), knot_steps)
-    if knot == len(self._replayed.modes):
+    mode = plan_search.mode_at(self._replayed, self.robot)
+    if mode == plan_search.DONE:
       self._replayed, self.notice = None, 'The plan is done.'
       self.robot.command(plan_lib.rest_mode(self._mode_set))
-    elif not rest:
-      self.robot.command(self._mode_set.index(self._replayed.modes[knot]))
-
-
-def _slower_gaits(
-  mode_set: mode_set_lib.ModeSet,
-) -> dict[tuple[str, float], str]:
-  """Returns the blends of gaits with the mode of rest, by gait and speed."""
-  rest = plan_lib.rest_mode(mode_set)
-  if not mode_set.bank.steady[rest]:
-    return {}
-  name = mode_set.names[rest]
-  speeds = [round(SPEED_STEP * i, 2) for i in range(1, 10)]
-  return {
-    (gait, speed): f'{gait}*{speed:g}+{name}*{1 - speed:g}'
-    for gait, level in zip(mode_set.names, mode_set.bank.level, strict=True)
-    if level
-    for speed in speeds
-  }
+    elif mode:
+      self.robot.command(self._mode_set.index(mode))

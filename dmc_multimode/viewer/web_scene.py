@@ -5,8 +5,6 @@ videos, because its boxes change their sizes. The world moves past the origin,
 at which the page's camera looks, so that people may turn it while it follows.
 """
 
-import copy
-
 import mjviser
 import mujoco
 import numpy as np
@@ -37,11 +35,15 @@ _SIDES = np.array(  # Counter-clockwise from outside.
 )
 _FACES = np.concatenate([_SIDES[:, [0, 1, 2]], _SIDES[:, [0, 2, 3]]])
 _SKY = np.array([[190, 214, 235], [242, 245, 250]])  # Above and below.
-_PATH, _PATH_WIDTH = (235, 120, 40), 3.0  # Of a plan: colour, pixels.
+PATH, _PATH_WIDTH = (235, 120, 40), 3.0  # Of a plan: colour, pixels.
 
 
 class LiveScene:
-  """Draws a robot and its surroundings on a page."""
+  """Draws a robot and its surroundings on a page.
+
+  Attributes:
+    target: world point that is at the origin of the page, metres, [3].
+  """
 
   def __init__(self, server: viser.ViserServer, robot: rollout.Robot):
     """Builds the meshes.
@@ -51,12 +53,15 @@ class LiveScene:
       robot: any robot of the session: all have the same geoms.
     """
     self._server, self._aim = server, camera_lib.Aim()
+    self.target = np.zeros(3)
     # These two frames follow the robot; the first is mjviser's.
     self._frames = [
       server.scene.add_frame(name, show_axes=False)
       for name in ('/bodies', '/world')
     ]
-    self._robot = mjviser.ViserMujocoScene(server, _drawn_model(robot), 1)
+    self._robot = mjviser.ViserMujocoScene(
+      server, camera_lib.without_ground(robot), 1
+    )
     self._robot.camera_tracking_enabled = False
     *colour, opacity = camera_lib.GHOST
     self._reference = server.scene.add_box(
@@ -107,7 +112,8 @@ class LiveScene:
     position, data = robot.position, robot.physics.data
     if not np.isfinite(position).all():
       return
-    offset = -self._aim.follow(robot.task, position, _VIEW.ahead)
+    self.target = self._aim.follow(robot.task, position, _VIEW.ahead)
+    offset = -self.target
     with self._server.atomic():
       self._show_ground(robot.task.root_entity.terrain, float(position[0]))
       for frame in self._frames:
@@ -134,7 +140,7 @@ class LiveScene:
       self._path = self._server.scene.add_line_segments(
         '/world/path',
         np.stack([path[:-1], path[1:]], axis=1),
-        _PATH,
+        PATH,
         thickness=_PATH_WIDTH,
         thickness_units='screen',
       )
@@ -145,7 +151,10 @@ class LiveScene:
     if ground == self._drawn_ground:
       return
     self._drawn_ground = ground
-    boxes = [*_segments(terrain), *camera_lib.ground_marks(terrain, round(x))]
+    boxes = [
+      *camera_lib.segments(terrain),
+      *camera_lib.ground_marks(terrain, round(x)),
+    ]
     flat = [box.shape == mujoco.mjtGeom.mjGEOM_PLANE for box in boxes]
     halves = np.array([box.halves for box in boxes])
     halves[flat, 2] = _FLAT
@@ -163,21 +172,3 @@ class LiveScene:
       lod='off',
       cast_shadow=False,
     )
-
-
-def _drawn_model(robot: rollout.Robot) -> mujoco.MjModel:
-  """Returns a copy of the robot's model with an invisible ground."""
-  model = copy.deepcopy(robot.physics.model.ptr)
-  ground = robot.physics.bind(robot.task.root_entity.ground_geoms).element_id
-  model.geom_rgba[ground, 3] = 0.0
-  return model
-
-
-def _segments(terrain: terrain_lib.Terrain) -> list[camera_lib.Box]:
-  """Returns the boxes of a terrain, a batch of one."""
-  centres, halves = terrain_lib.boxes(terrain)
-  used = np.isfinite(terrain.starts[0])
-  return [
-    camera_lib.Box(centre, half, camera_lib.TOP)
-    for centre, half in zip(centres[0][used], halves[0][used], strict=True)
-  ]

@@ -1,14 +1,12 @@
 """Tests of dmc_multimode.bin.view: its flags, and its page in a browser.
 
-The page is clicked on in a headless Chromium, which draws in software. Set
-VIEW_SCREENSHOT to a file to keep what it shows in the end.
+Set VIEW_SCREENSHOT to a file to keep what the page shows in the end. More of
+the page is tested in tests/viewer/page_test.py.
 """
 
-import importlib.util
 import os
 import pathlib
 import re
-import shutil
 import signal
 import socket
 import time
@@ -17,12 +15,9 @@ from typing import Any, Iterator
 import pytest
 
 from tests.bin import processes
+from tests.viewer import browsers
 
-_PATIENCE = 120.0  # Seconds for a page, drawn in software on a busy machine.
-_PAGE = {'width': 480, 'height': 700}  # Pixels; few of them are drawn on.
-# Chromium draws in software, and as root it has no sandbox.
-_CHROMIUM = ['--no-sandbox', '--enable-unsafe-swiftshader']
-_CHROMIUM += ['--use-angle=swiftshader']
+_WIDTH, _HEIGHT = 960, 640  # Pixels; few of them are drawn on.
 
 
 @pytest.fixture(scope='module')
@@ -37,30 +32,14 @@ def view(
 @pytest.fixture
 def page() -> Iterator[Any]:
   """An empty page of a headless browser."""
-  for module in ('viser', 'mjviser'):
-    if not importlib.util.find_spec(module):
-      pytest.skip(f'no {module}: the page takes the extra `view`')
-  api = pytest.importorskip(
-    'playwright.sync_api', reason='no playwright: it is in the extra `browser`'
-  )
-  with api.sync_playwright() as playwright:
-    own = pathlib.Path(playwright.chromium.executable_path)
-    path = own if own.exists() else shutil.which('chromium')
-    if not path:
-      pytest.skip(
-        'no Chromium: apt-get install chromium, or playwright install chromium'
-      )
-    browser = playwright.chromium.launch(executable_path=path, args=_CHROMIUM)
-    page = browser.new_page(viewport=_PAGE)
-    page.set_default_timeout(1000 * _PATIENCE)
-    yield page
-    browser.close()
+  with browsers.chromium() as browser:
+    yield browsers.new_page(browser, _WIDTH, _HEIGHT)
 
 
 def _url(folder: pathlib.Path) -> str:
   """Waits for the URL that the binary prints."""
   begun = time.monotonic()
-  while time.monotonic() - begun < _PATIENCE:
+  while time.monotonic() - begun < browsers.PATIENCE:
     out = folder / 'stdout'
     if out.exists() and out.read_text().endswith('\n'):
       return out.read_text().strip()
@@ -77,13 +56,14 @@ def test_a_click_on_launch_lands_on_the_block(
     url = _url(tmp_path)
     assert re.fullmatch(r'http://127\.0\.0\.1:\d+', url)
     page.goto(url)
-    page.get_by_text(re.compile(r'trunk z 0\.(4[5-9]|5[0-5]) m')).wait_for()
+    status = page.locator('#dmm-status')
+    status.get_by_text(re.compile(r'trunk z 0\.(4[5-9]|5[0-5]) m')).wait_for()
     page.get_by_role('button', name='4 launch').click()
-    page.get_by_text(re.compile(r'trunk z 0\.(8[5-9]|9[0-5]) m')).wait_for()
-    assert page.locator('b', has_text='launch').count() == 1
+    status.get_by_text(re.compile(r'trunk z 0\.(8[5-9]|9[0-5]) m')).wait_for()
+    assert page.locator('#dmm-status b', has_text='launch').count() == 1
     page.keyboard.press('r')
-    page.get_by_text(re.compile(r'trunk z 0\.(4[5-9]|5[0-5]) m')).wait_for()
-    page.locator('b', has_text='idle').wait_for()
+    status.get_by_text(re.compile(r'trunk z 0\.(4[5-9]|5[0-5]) m')).wait_for()
+    page.locator('#dmm-status b', has_text='idle').wait_for()
     if os.environ.get('VIEW_SCREENSHOT'):
       page.screenshot(path=os.environ['VIEW_SCREENSHOT'])
   finally:

@@ -9,6 +9,7 @@ import pytest
 from dmc_multimode import pretrained
 from dmc_multimode.planner import beam_search
 from dmc_multimode.suite.imitation import events
+from dmc_multimode.viewer import disturbing
 from dmc_multimode.viewer import session as session_lib
 
 _PATIENCE = 120.0  # Seconds for a search.
@@ -88,6 +89,8 @@ def test_a_fall_is_told_and_undone(session: session_lib.LiveSession) -> None:
   assert not session.step().down
   assert abs(session.robot.position[1]) < 0.05
   session.command('walk_forward')
+  assert 'put back to the start' in session.step().notice
+  session.dismiss()
   assert session.step().notice == ''
 
 
@@ -180,6 +183,92 @@ def test_speed_of_gaits(session: session_lib.LiveSession) -> None:
   session.set_speed(1.0)
 
 
+def test_blends(session: session_lib.LiveSession) -> None:
+  session.set_arena('flat')
+  assert session.blends.pairs == (
+    ('walk_forward', 'idle'),
+    ('leap_forward', 'idle'),
+  )
+  for first, second, share, running, main in (
+    ('walk_forward', 'idle', 0.9, 'walk_forward*0.1+idle*0.9', 'walk_forward'),
+    ('idle', 'leap_forward', 0.7, 'leap_forward*0.7+idle*0.3', 'leap_forward'),
+    ('idle', 'leap_forward', 0.0, 'idle', 'idle'),
+    ('idle', 'walk_forward', 1.0, 'walk_forward', 'walk_forward'),
+  ):
+    session.blend(first, second, share)
+    state = _run(
+      session, 3.0, lambda state, name=running: state.running == name
+    )
+    assert (state.running, state.step.mode) == (running, main)
+
+
+def test_disturbances_change_where_the_robot_is() -> None:
+  session = session_lib.LiveSession(pretrained.load('pi2'))
+  session.command('walk_forward')
+  _run(session, 1.0)
+  x = session.robot.position[0]
+  model = session.robot.physics.model
+  before = {
+    name: getattr(model, name).copy()
+    for name in ('body_mass', 'geom_friction', 'actuator_gainprm', 'dof_M0')
+  }
+  values = {
+    'payload': 2.0,
+    'friction': 0.3,
+    'motor_strength': 0.8,
+    'action_delay': 0.06,
+  }
+  for name, value in values.items():
+    session.disturb(**{name: value})
+    assert session.disturbance(name) == value
+  assert model.body_mass.sum() == pytest.approx(
+    before['body_mass'].sum() + 2.0, abs=1e-6
+  )
+  np.testing.assert_allclose(model.geom_friction[:, 0], 0.3)
+  np.testing.assert_allclose(
+    model.actuator_gainprm[:, 0], 0.8 * before['actuator_gainprm'][:, 0]
+  )
+  assert session.robot.task.core.disturbances['action_delay'] == 0.06
+  assert session.robot.position[0] == x
+  session.reset()  # They stay.
+  np.testing.assert_allclose(model.geom_friction[:, 0], 0.3)
+  with pytest.raises(ValueError, match='at most 0.06 s'):
+    session.disturb(action_delay=0.1)
+  with pytest.raises(ValueError, match='none of action_delay'):
+    session.disturb(mood=1.0)
+  session.disturb(**disturbing.NOMINAL)
+  for name, value in before.items():
+    np.testing.assert_allclose(getattr(model, name), value, err_msg=name)
+
+
+def test_survival_is_counted() -> None:
+  session = session_lib.LiveSession(pretrained.load('quickstart'))
+  assert _run(session, 0.9).survival == pytest.approx((0.9, 0, 0.9))
+  for _ in range(3):
+    session.push((0.0, 3.0))
+  state = _run(session, 3.0, lambda state: state.down)
+  assert (state.survival.up, state.survival.falls) == (0, 1)
+  state = _run(session, 3.0, lambda state: not state.down)
+  state = _run(session, 0.3)
+  assert 0.3 <= state.survival.up < 0.4
+  assert state.survival.falls_per_minute == pytest.approx(
+    60 / state.survival.seconds
+  )
+  session.disturb(friction=0.5)  # Another robot.
+  assert session.step().survival.falls == 0
+  # It is not what the survival depends on alone: random pushes do come.
+  session.disturb(push_speed=2.0)
+  assert _run(session, 30.0, lambda state: state.down).down
+
+
+def test_next_and_previous_modes(session: session_lib.LiveSession) -> None:
+  session.set_arena('flat')
+  session.command_next(1)
+  assert session.step().step.mode == 'walk_forward'
+  session.command_next(-1)
+  assert session.step().step.mode == 'idle'
+
+
 def test_disturbances_are_the_robots() -> None:
   session = session_lib.LiveSession(
     pretrained.load('pi2'),
@@ -199,8 +288,10 @@ def test_bad_input(session: session_lib.LiveSession) -> None:
     (lambda: session.push((3.0, 1.0)), 'at most 3'),
     (lambda: session.set_clock_rate(np.nan), 'within 0.5 and 3'),
     (lambda: session.set_speed(0.55), 'one of 0.1, 0.2, ... 1'),
+    (lambda: session.blend('idle', 'launch', 0.5), 'cannot be blended'),
+    (lambda: session.blend('idle', 'walk_forward', 0.55), '0, 0.1, ... 1'),
     (lambda: session.set_arena('moat'), "Unknown arena 'moat'"),
-    (lambda: session.set_arena('flat', -1), 'seed must not be negative'),
+    (lambda: session.set_arena('flat', -1), 'seed must be within 0 and'),
   ):
     with pytest.raises(ValueError, match=message):
       what()

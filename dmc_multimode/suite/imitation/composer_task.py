@@ -2,6 +2,7 @@
 
 import collections
 import copy
+import dataclasses
 import math
 import operator
 from typing import Any
@@ -250,10 +251,36 @@ class Imitation(composer.Task):
           int(trunk),
         ),
       )
-    body = self._body[1]
-    body.write(_WORLD, self.core.disturbances)
-    if body.changes_mass:
-      mujoco.mj_setConst(physics.model.ptr, mujoco.MjData(physics.model.ptr))
+    self._body[1].write(_WORLD, self.core.disturbances)
+    _derive_masses(physics, self._body[1])
+
+  def set_events(
+    self,
+    physics: Any,
+    changed: events.TrainingEvents,
+    random_state: np.random.RandomState,
+  ) -> None:
+    """Replaces disturbances, pushes and sensor noise in mid-episode.
+
+    Args:
+      physics: of the environment.
+      changed: from now on, in later episodes as well.
+      random_state: source of the disturbances that are drawn.
+
+    Raises:
+      ValueError: the delay is longer than the actions that are remembered; all
+        is as before.
+    """
+    most = (self.core.actions.shape[1] - 1) * self.config.control_timestep
+    if changed.disturbances.action_delay[1] > most + 1e-9:
+      raise ValueError(f'A delay that changes is at most {most:g} s here.')
+    self.config = dataclasses.replace(self.config, events=changed)
+    self.core.disturbances = disturbances.nominal(1)
+    if self._body and self._body[0] is physics.model:
+      self._body[1].restore(_WORLD)
+      _derive_masses(physics, self._body[1])
+    self._body = None
+    self._disturb(physics, random_state)
 
   def _finish_episode(self) -> None:
     """Updates Algorithm 1 with the finished episode, if there is one."""
@@ -431,6 +458,12 @@ class Imitation(composer.Task):
     """Cause of an early end, one of `CAUSES`; 'none' otherwise."""
     cause = self._outcome.cause[0] if self._outcome else 0
     return terminations.CAUSES[cause]
+
+
+def _derive_masses(physics: Any, body: disturbances.Body) -> None:
+  """Computes the model's constants anew that follow from masses."""
+  if body.changes_mass:
+    mujoco.mj_setConst(physics.model.ptr, mujoco.MjData(physics.model.ptr))
 
 
 def _state(physics: Any) -> tuple[np.ndarray, np.ndarray]:

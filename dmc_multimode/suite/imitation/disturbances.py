@@ -228,6 +228,11 @@ class Body:
     self._trunk = trunk
     self.changes_mass = 'body_mass' in self._fields
 
+  def restore(self, ids: np.ndarray) -> None:
+    """Writes the nominal model's fields into the worlds `ids`, [N]."""
+    for name, field in self._fields.items():
+      field[ids] = self._nominal[name]
+
   def write(self, ids: np.ndarray, values: Mapping[str, np.ndarray]) -> None:
     """Writes the values of the worlds `ids`, [N] each."""
     for name, field in self._fields.items():
