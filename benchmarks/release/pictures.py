@@ -160,7 +160,7 @@ def _strip(
   """Draws frames side by side, each with its mode, its time and two heights."""
   drawn, (axes,) = figures.empty(1, len(moments), 2.2, 2.4)
   drawn.set_layout_engine(None)  # The constrained one crops titles here.
-  drawn.subplots_adjust(0.01, 0.22, 0.99, 0.87, wspace=0.04)
+  drawn.subplots_adjust(0.01, 0.25, 0.99, 0.88, wspace=0.04)
   for axis, (frame, step) in zip(axes, _shots(config, moments), strict=True):
     axis.imshow(frame)
     axis.set(xticks=[], yticks=[])
@@ -170,7 +170,7 @@ def _strip(
       fontsize='small',
     )
   note = f'heights of the trunk; {_NOTE}'
-  drawn.supxlabel(note, fontsize='small', y=0.03)
+  drawn.supxlabel(note, fontsize='small', y=0.02)
   figures.save(path, drawn)
 
 
