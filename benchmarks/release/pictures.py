@@ -101,7 +101,8 @@ def _film(path: pathlib.Path, **what: Any) -> None:
 
 def thin(path: pathlib.Path) -> None:
   """Drops every second frame of a GIF, for a small repository."""
-  kept, durations = [], []
+  kept: list[PIL.Image.Image] = []
+  durations: list[float] = []
   with PIL.Image.open(path) as film:
     for i, frame in enumerate(PIL.ImageSequence.Iterator(film)):
       if i % 2:
@@ -123,13 +124,13 @@ def thin(path: pathlib.Path) -> None:
 
 
 @functools.cache
-def _plan(arena: str) -> plan_lib.PlanResult:
-  """Returns a plan of pi2's across a track.
+def _plan(arena: str, planner: str = 'beam') -> plan_lib.PlanResult:
+  """Returns what pi2 is commanded across a track.
 
   Raises:
     ValueError: it does not get there, and is no picture of a success.
   """
-  found = dmm.plan(POLICY, arena=arena, seed=0, quiet=True)
+  found = dmm.plan(POLICY, arena=arena, seed=0, planner=planner, quiet=True)
   if not found.success:
     raise ValueError(f'The plan across {arena} does not reach its goal.')
   return found
@@ -246,7 +247,9 @@ def _tour(path: pathlib.Path) -> None:
 
 PICTURES: Mapping[str, Callable[[pathlib.Path], None]] = {
   'pi2.gif': functools.partial(_film, schedule=SCHEDULE),
-  'parkour.gif': lambda path: _film(path, plan=_plan('parkour').file()),
+  'parkour.gif': lambda path: _film(
+    path, plan=_plan('parkour', 'selector').file()
+  ),
   'pi2.png': _modes,
   'plan_frames.png': _plan_frames,
   'plan.png': _plan_figure,

@@ -112,12 +112,11 @@ class Take:
     folder = tempfile.TemporaryDirectory(prefix='dmc_multimode_take_')
     path = pathlib.Path(folder.name)
     mujoco.mj_saveModel(self._model, str(path / _MODEL), None)
-    np.savez(
-      path / _POSES,
-      size=self._size,
-      period=self._period,
-      **{name: np.stack(kept) for name, kept in self._poses.items()},
-    )
+    poses: dict[str, Any] = {
+      name: np.stack(kept) for name, kept in self._poses.items()
+    }
+    poses |= {'size': self._size, 'period': self._period}
+    np.savez(path / _POSES, **poses)
     np.savez(path / _GROUNDS, *self._grounds)
     (path / _TEXTS).write_text(json.dumps(self._texts))
     return Drawing(folder)
@@ -133,7 +132,7 @@ class Drawing:
     environment = dict(os.environ)
     if environment.get(gl.VARIABLE) == 'disable':  # That of the session.
       del environment[gl.VARIABLE]
-    command = [sys.executable, '-m', __name__, path, path / _VIDEO]
+    command = [sys.executable, '-m', __name__, str(path), str(path / _VIDEO)]
     self._process = subprocess.Popen(
       command,
       env=environment,

@@ -84,7 +84,8 @@ class Controls:
       with_client: whether it takes the browser that asks.
       shown: key in the help; '' for none, itself if None.
     """
-    command: Any = self._gui.add_command(meaning, hotkey=key)  # type: ignore[arg-type]
+    hotkey: Any = key  # One of viser's literals.
+    command = self._gui.add_command(meaning, hotkey=hotkey)
     command.on_trigger(
       lambda event: self._ask(request, *[event.client] * with_client)
     )

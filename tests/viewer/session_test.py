@@ -1,5 +1,6 @@
 """Tests of dmc_multimode.viewer.session: sessions, without any page."""
 
+import functools
 import time
 from typing import Callable
 
@@ -31,6 +32,10 @@ def _run(
     if until(state):
       break
   return state
+
+
+def _runs(running: str, state: session_lib.LiveState) -> bool:
+  return state.running == running
 
 
 def test_launch_lands_on_the_block(session: session_lib.LiveSession) -> None:
@@ -196,9 +201,8 @@ def test_blends(session: session_lib.LiveSession) -> None:
     ('idle', 'walk_forward', 1.0, 'walk_forward', 'walk_forward'),
   ):
     session.blend(first, second, share)
-    state = _run(
-      session, 3.0, lambda state, name=running: state.running == name
-    )
+    blended = functools.partial(_runs, running)
+    state = _run(session, 3.0, blended)
     assert (state.running, state.step.mode) == (running, main)
 
 
