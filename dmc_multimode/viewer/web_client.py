@@ -217,7 +217,7 @@ def source(
 
 
 def install(server: viser.ViserServer, script: str) -> None:
-  """Has every browser run a script, now or when it connects."""
+  """Runs a script in every browser, now or when it connects."""
   server.gui._websock_interface.queue_message(
     messages.RunJavascriptMessage(source=script)
   )

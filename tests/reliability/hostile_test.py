@@ -254,7 +254,12 @@ def test_xml_comes_from_the_package_alone() -> None:
     (
       'deployment/mjcf_export',
       'mjcf.from_path',
-    ): "str(resources.path('xml', 'scene.xml'))",
+    ): 'str(scene)',
+    # Its own, from a process to the one that it starts.
+    (
+      'viewer/take',
+      'mujoco.MjModel.from_binary_path',
+    ): 'str(folder / _MODEL)',
     (
       'suite/imitation/mujoco_worlds',
       'mujoco.MjSpec.from_string',
