@@ -101,7 +101,8 @@ def _film(path: pathlib.Path, **what: Any) -> None:
 
 def thin(path: pathlib.Path) -> None:
   """Drops every second frame of a GIF, for a small repository."""
-  kept, durations = [], []
+  kept: list[PIL.Image.Image] = []
+  durations: list[int] = []
   with PIL.Image.open(path) as film:
     for i, frame in enumerate(PIL.ImageSequence.Iterator(film)):
       if i % 2:
