@@ -120,7 +120,7 @@ def legend(
 
 
 class Pad(NamedTuple):
-  """What a gamepad does, of the standard mapping.
+  """Control of a gamepad of the standard mapping, and its meaning.
 
   Attributes:
     control: its name on most pads.
