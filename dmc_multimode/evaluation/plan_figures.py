@@ -98,7 +98,13 @@ def _draw_side(
   )
   axis.set(xlabel='x (m)', ylabel='height (m)', xlim=(low, high))
   axis.set_aspect('equal')
-  axis.legend(fontsize=_SMALL, loc='upper left', bbox_to_anchor=(1.0, 1.0))
+  axis.legend(
+    fontsize=_SMALL,
+    loc='upper center',
+    bbox_to_anchor=(0.5, -0.25),
+    ncols=5,
+    frameon=False,
+  )
   off = found.final_position - np.array(found.goal)
   axis.set_title(
     f'{"reached" if found.success else "not reached"}: '
