@@ -6,11 +6,14 @@ otherwise, with their defaults; one that draws takes a generator before them.
 
 Layouts begin on ground of height 0 and end on ground, so that one can follow
 another, as the obstacles of `obstacle_course` do.
+
+Names joined by '+', such as 'parkour+rough', are a layout, too: each draw is one
+of theirs.
 """
 
 import functools
 import inspect
-from typing import Callable, Mapping, NamedTuple, Sequence
+from typing import Callable, Iterator, Mapping, NamedTuple, Sequence
 
 import numpy as np
 
@@ -361,6 +364,7 @@ _RANDOM: dict[str, _Random] = {
   'gaps_and_blocks': _Random(gaps_and_blocks, _GAPS_AND_BLOCKS.most_pieces),
 }
 NAMES = (*_FIXED, *_RANDOM)  # Of this module's own.
+_OR = '+'  # Joins names of layouts, one of which is drawn.
 
 
 def register(
@@ -393,8 +397,9 @@ def make(name: str, sizes: Mapping[str, Number] | None = None) -> Layout:
   """Returns the named layout: its pieces, or a function that draws them.
 
   Args:
-    name: one of `NAMES`, or of those of `register`.
-    sizes: arguments of the layout's function; its defaults otherwise.
+    name: one of `NAMES`, or of those of `register`; or several, joined by '+'.
+    sizes: arguments of the layout's function; its defaults otherwise. Of
+      several layouts, each takes those that it has.
 
   Raises:
     ValueError: the name or a size is unknown, and the message lists the known
@@ -402,9 +407,28 @@ def make(name: str, sizes: Mapping[str, Number] | None = None) -> Layout:
   """
   sizes = sizes or {}
   _check_sizes(name, sizes)
+  made = [_make_one(part, own) for part, own in _parts(name, sizes)]
+  if len(made) == 1:
+    return made[0]
+  return lambda random_state: draw(
+    made[random_state.randint(len(made))], random_state
+  )
+
+
+def _make_one(name: str, sizes: Mapping[str, Number]) -> Layout:
+  """Returns one layout."""
   if name in _RANDOM:
     return functools.partial(_RANDOM[name].function, **sizes)
   return _FIXED[name](**sizes)
+
+
+def _parts(
+  name: str, sizes: Mapping[str, Number]
+) -> Iterator[tuple[str, Mapping[str, Number]]]:
+  """Yields each layout of a name, and those of the sizes that it has."""
+  for part in name.split(_OR):
+    known = default_sizes(part)
+    yield part, {size: at for size, at in sizes.items() if size in known}
 
 
 def _check_sizes(name: str, sizes: Mapping[str, Number]) -> None:
@@ -422,23 +446,38 @@ def _check_sizes(name: str, sizes: Mapping[str, Number]) -> None:
 def default_sizes(name: str) -> Mapping[str, float]:
   """Returns the sizes of a layout, in metres unless its function says else.
 
+  Of several layouts, joined by '+', a size has the default of the first that
+  has it.
+
   Raises:
     ValueError: the name is unknown; the message lists the known ones.
   """
+  sizes: dict[str, float] = {}
   names = (*_FIXED, *_RANDOM)
-  if name not in names:
-    raise ValueError(f'Unknown arena {name!r}; arenas are {", ".join(names)}.')
-  function = _RANDOM[name].function if name in _RANDOM else _FIXED[name]
-  parameters = inspect.signature(function).parameters.values()
-  return {p.name: p.default for p in parameters if p.default is not p.empty}
+  for part in name.split(_OR):
+    if part not in names:
+      raise ValueError(
+        f'Unknown arena {part!r}; arenas are {", ".join(names)}.'
+      )
+    function = _RANDOM[part].function if part in _RANDOM else _FIXED[part]
+    for p in inspect.signature(function).parameters.values():
+      if p.default is not p.empty:
+        sizes.setdefault(p.name, p.default)
+  return sizes
 
 
 def most_pieces(name: str, sizes: Mapping[str, Number] | None = None) -> int:
   """Returns the most pieces that the named layout can have; see `make`."""
-  layout = make(name, sizes)
+  _check_sizes(name, sizes or {})
+  return max(_most_of_one(part, own) for part, own in _parts(name, sizes or {}))
+
+
+def _most_of_one(name: str, sizes: Mapping[str, Number]) -> int:
+  """Returns the most pieces that one layout can have."""
+  layout = _make_one(name, sizes)
   if not callable(layout):
     return len(layout)
-  return _RANDOM[name].most_pieces(**{**default_sizes(name), **(sizes or {})})
+  return _RANDOM[name].most_pieces(**{**default_sizes(name), **sizes})
 
 
 def draw(

@@ -28,7 +28,11 @@ _MINUTES = flags.DEFINE_float(
 _POLICY = config_flags.define_path(
   'policy', 'pi2', 'Name of a shipped low-level policy, or a folder.'
 )
-_ARENA = flags.DEFINE_string('arena', 'parkour', f'{", ".join(layouts.NAMES)}.')
+_ARENA = flags.DEFINE_string(
+  'arena',
+  'parkour',
+  f'{", ".join(layouts.NAMES)}; or several, joined by +, one an episode.',
+)
 _SIZES = config_flags.define_sizes()
 # Fields of `SelectorConfig` that are one flag, and nested configurations.
 _SIMPLE = ('policy', 'arena', 'decisions', 'seed', 'num_worlds', 'threads')

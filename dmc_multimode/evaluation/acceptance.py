@@ -135,12 +135,17 @@ def _of_gaits(
     result.append(Criterion('rise', _RISE * rise, np.inf, gait_metrics.rise))
   else:
     result.append(Criterion('bob', -np.inf, _BOB * size, gait_metrics.bob))
-  contacts = [] if motion.contacts is None else motion.contacts.tolist()
-  if [1, 0] in contacts and [0, 1] in contacts:
+  if motion.contacts is not None and _steps(motion.contacts):
     result.append(
       Criterion('alternation', _ALTERNATION, np.inf, gait_metrics.alternation)
     )
   return tuple(result)
+
+
+def _steps(contacts: np.ndarray) -> bool:
+  """Returns whether the feet of each pair, [K, F], step in turns."""
+  left, right = contacts[:, ::2], contacts[:, 1::2]
+  return bool(((left > right).any(axis=0) & (right > left).any(axis=0)).all())
 
 
 def _of_bounds(

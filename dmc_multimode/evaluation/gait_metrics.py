@@ -135,11 +135,18 @@ def bob(trace: Trace) -> float:
 def alternation(trace: Trace) -> float:
   """Returns the share of single touch-downs that follow the other foot's.
 
-  Contacts are the majority of three steps: a bounce or tap of one step is
-    neither a take-off nor a touch-down.
+  The other foot is that on the other side; of four feet it is the mean of both
+  pairs. Contacts are the majority of three steps: a bounce or tap of one step is
+  neither a take-off nor a touch-down.
   """
   contact = _majority(trace.settled(trace.contact).astype(bool))
   down = contact[1:] & ~contact[:-1]
+  pairs = np.split(down, down.shape[1] // 2, axis=1)
+  return float(np.mean([_alternation(pair) for pair in pairs]))
+
+
+def _alternation(down: np.ndarray) -> float:
+  """Returns the `alternation` of the touch-downs of two feet, [T, 2]."""
   feet = down[down.any(axis=1)]
   if len(feet) < 2:
     return 0.0

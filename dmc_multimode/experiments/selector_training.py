@@ -81,6 +81,7 @@ class TaskConfig:
     physics_timestep: seconds; longer than those of users, and faster.
     push_speed: largest velocity that a push adds, m/s.
     push_interval: mean time between the pushes of a robot, seconds.
+    push_fraction: probability of an episode to have pushes.
     scan_errors: of the observed ground.
     standing: reward of a knot at whose end the robot stands at the goal.
     fall: cost of a fall.
@@ -90,6 +91,7 @@ class TaskConfig:
   physics_timestep: config_lib.Positive = 0.0075
   push_speed: config_lib.NonNegative = 0.5
   push_interval: config_lib.Positive = 2.0
+  push_fraction: config_lib.Share = 1.0
   scan_errors: sensing.ScanErrors = sensing.ScanErrors(0.02, 0.02, 0.02)
   standing: config_lib.NonNegative = 0.1
   fall: config_lib.NonNegative = 1.0
@@ -159,6 +161,7 @@ class SelectorTraining:
     disturbed = dataclasses.replace(
       events.fixed(config.task.push_speed),
       push_interval=config.task.push_interval,
+      push_fraction=config.task.push_fraction,
     )
     self.worlds = worlds_lib.ReachingWorlds(
       reaching_env.load_policy(config.policy),

@@ -77,7 +77,15 @@ def derive(
     if i < j:
       if places[i, 1] <= places[j, 1]:
         raise ValueError(f'feet: give {feet[j]!r}, the left one, first.')
+      if j != i + 1:
+        raise ValueError(
+          f'feet: give {feet[j]!r} right after {feet[i]!r}, its other side: '
+          'front left, front right, hind left, hind right.'
+        )
       pairs.append((i, j))
+  ahead = [places[i, 0] for i, _ in pairs]
+  if ahead != sorted(ahead, reverse=True):
+    raise ValueError('feet: give the front feet first.')
   mirror = Mirror(order, signs, foot_order, tuple(pairs), 0.0)
   found, where = _asymmetry(model, qpos, mirror)
   if found > max(allowed, _TOLERANCE):

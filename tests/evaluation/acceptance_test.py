@@ -151,6 +151,21 @@ def test_a_squat_rises() -> None:
   assert list(found) == ['rise'] and not found['rise'].passed
 
 
+def test_gaits_of_four_feet_that_step_in_turns_alternate() -> None:
+  known = library.four_footed_modes()
+  alternating = {
+    name: 'alternation' in [c.metric for c in acceptance.criteria(motion)]
+    for name, motion in known.items()
+    if name.split('_')[0] in ('trot', 'pace', 'bound', 'pronk')
+  }
+  assert alternating == {
+    'trot_forward': True,
+    'pace_forward': True,
+    'bound_forward': False,
+    'pronk_forward': False,
+  }
+
+
 def test_modes_of_which_little_is_known_have_few_criteria() -> None:
   walk = dataclasses.replace(_MODES['walk_forward'], contacts=None)
   assert [p.metric for p in acceptance.criteria(walk)] == ['speed', 'bob']

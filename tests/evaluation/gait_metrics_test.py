@@ -96,6 +96,14 @@ def test_alternation(left: str, right: str, expected: float) -> None:
   assert gait_metrics.alternation(_trace(contact=contact)) == expected
 
 
+def test_alternation_of_four_feet_is_the_mean_of_front_and_hind() -> None:
+  steps = np.tile([[1, 0], [1, 0], [0, 1], [0, 1]], (12, 1))
+  feet = lambda front, hind: _trace(contact=np.hstack([front, hind]))
+  assert gait_metrics.alternation(feet(steps, steps[:, ::-1])) == 1.0
+  assert gait_metrics.alternation(feet(steps, np.ones_like(steps))) == 0.5
+  assert gait_metrics.alternation(feet(steps[:, :1] * [1, 1], steps)) == 0.5
+
+
 def test_turn_rate_counts_whole_turns() -> None:
   yaw = -2.0 * _TIMESTEP * np.arange(60)  # Almost two turns to the right.
   wrapped = np.angle(np.exp(1j * yaw))

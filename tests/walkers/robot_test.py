@@ -211,6 +211,11 @@ _FEET = [f'{leg}_foot' for leg in _LEGS]
       "foot 'tail' is neither a site nor a geom nor a bo",
     ),
     (
+      {'feet': [_FEET[i] for i in (0, 2, 1, 3)]},
+      "feet: give 'fr_foot' right after 'fl_foot', its other side: front left",
+    ),
+    ({'feet': [_FEET[i] for i in (2, 3, 0, 1)]}, 'feet: give the front feet'),
+    (
       {'feet': [_FEET[i] for i in (1, 0, 2, 3)]},
       "give 'fl_foot', the left one",
     ),

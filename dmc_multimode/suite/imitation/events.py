@@ -225,8 +225,10 @@ def contact_schedule_agreement(
   foot that should swing agrees in proportion to its clearance, up to a height
   that rises and falls over the swing, 6 cm in its middle, so that the foot is
   set down softly; far above that, it agrees less. In a flight of both feet 5 cm
-  are enough. A foot that should stand agrees in contact. The product over both
-  feet is 0 for a shuffle, which always has one foot right.
+  are enough. A foot that should stand agrees in contact. The product over a left
+  and a right foot is 0 for a shuffle, which always has one foot right; of four
+  feet, the mean over both pairs counts, so that one that steps is already worth
+  something.
 
   Args:
     contact, reference_contact: feet on the ground, 0 or 1, [B, F].
@@ -243,4 +245,5 @@ def contact_schedule_agreement(
   stepping *= np.clip(1.0 - too_high, 0.0, 1.0)
   swing = np.where(np.isnan(progress), swing, stepping)
   right = np.where(reference_contact > 0, contact, swing)
-  return np.where(has_contact, right.prod(axis=-1), 1.0)
+  pairs = right.reshape(len(right), -1, 2).prod(axis=2)
+  return np.where(has_contact, pairs.mean(axis=1), 1.0)

@@ -131,3 +131,17 @@ def test_contact_schedule_agreement_by_hand(
       np.where(sum(wanted) == 1, [[np.nan, 0.5]], np.nan),
     )
     np.testing.assert_allclose(found, [value])
+
+
+def test_four_feet_agree_as_their_pairs_do_on_average() -> None:
+  """Of a trot: a shuffle, one pair that steps, half of a step, and all."""
+  found = events.contact_schedule_agreement(
+    np.array([[1, 1, 1, 1], [1, 0, 1, 1], [1, 0, 0, 1], [1, 0, 0, 1]], float),
+    np.array(
+      [[0, 0, 0, 0], [0, 0.06, 0, 0], [0, 0.03, 0.03, 0], [0, 0.07, 0.07, 0]]
+    ),
+    np.tile([1.0, 0.0, 0.0, 1.0], (4, 1)),
+    np.ones(4, bool),
+    np.tile([np.nan, 0.5, 0.5, np.nan], (4, 1)),
+  )
+  np.testing.assert_allclose(found, [0.0, 0.5, 0.5, 1.0])
