@@ -86,8 +86,9 @@ def parsers() -> Mapping[str, Parser]:
   motions = library.resolve('pi3')
   mode = json.dumps(mode_files.motion_to_dict(motions[0])).encode()
   latents = mode_set.one_hot(motions).codebook.to_json().encode()
-  plan, load = json.dumps(_PLAN).encode(), mode_files.load
+  plan = json.dumps(_PLAN).encode()
   error, read = mode_files.ModeFileError, plan_lib.PlanFile.read
+  load: Callable[[pathlib.Path], Any] = mode_files.load
   table = {
     'mode file, YAML': ('modes.yaml', load, error, _MODE, 0.2),
     'mode file, JSON': ('modes.json', load, error, mode, 0.05),

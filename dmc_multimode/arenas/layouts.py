@@ -7,8 +7,8 @@ otherwise, with their defaults; one that draws takes a generator before them.
 Layouts begin on ground of height 0 and end on ground, so that one can follow
 another, as the obstacles of `obstacle_course` do.
 
-Names joined by '+', such as 'parkour+rough', are a layout, too: each draw is one
-of theirs.
+Names joined by '+', such as 'parkour+rough', are a layout, too: each draw is
+one of theirs.
 """
 
 import functools

@@ -136,8 +136,8 @@ def alternation(trace: Trace) -> float:
   """Returns the share of single touch-downs that follow the other foot's.
 
   The other foot is that on the other side; of four feet it is the mean of both
-  pairs. Contacts are the majority of three steps: a bounce or tap of one step is
-  neither a take-off nor a touch-down.
+  pairs. Contacts are the majority of three steps: a bounce or tap of one step
+  is neither a take-off nor a touch-down.
   """
   contact = _majority(trace.settled(trace.contact).astype(bool))
   down = contact[1:] & ~contact[:-1]

@@ -153,9 +153,6 @@ class _Request:
     self, start: fine_tuning.Start | None
   ) -> tuple[run_config.RunConfig, Motions]:
     """Returns the configuration and modes of a new run."""
-    extra = self.motions
-    if self.mode_file:
-      extra = (*extra, *mode_files.load(self.mode_file))
     config = run_config.RunConfig()
     if self.steps is not None:
       config = dataclasses.replace(config, steps=self.steps)
@@ -163,7 +160,11 @@ class _Request:
     if robot:
       task = task_config.for_robot(config.task, robot)
       config = dataclasses.replace(config, task=task)
+    known = start.policy.config.robot if start else config.task.robot
+    extra = self.motions
     motions: Motions = ()
+    if self.mode_file:
+      extra = (*extra, *mode_files.load(self.mode_file, known.stand_height))
     if start:
       if robot:
         policy_lib.check_robot(start.policy, robot, start.name)

@@ -16,16 +16,20 @@ A keyframe may turn the trunk by `orientation: [w, x, y, z]` or by
 axes in this order); it is upright otherwise. Optional per mode: `step: {edge,
 height}` (a `motion.Ledge`), `takeoff`, `mirror`, `half_cycle_symmetric`.
 
+Lengths are metres and times seconds. With `units: height`, a mode is one for
+robots of any size: lengths are in heights h of the standing trunk, and times in
+sqrt(h / g), 0.226 s for the mini biped.
+
 Contacts are [left, right], or those of four feet in the robot's order. A mode
-begins where a command finds the trunk, about (0, 0, 0.5) and upright, or at the
-height of another robot:
-farther off than 0.35 m or 1 rad every command would be lost at once. A cycle
-closes: it ends at the height where it begins, and but for yaw in the same
-orientation; a steady mode does not turn either.
+begins where a command finds the trunk, about (0, 0, h) and upright: farther off
+than 0.7 h or 1 rad every command would be lost at once. A cycle closes:
+it ends at the height where it begins, and but for yaw in the same orientation;
+a steady mode does not turn either.
 
 Nothing in a file is executed, and every error names the file and the line.
 """
 
+import math
 import os
 import re
 import reprlib
@@ -38,6 +42,7 @@ from dmc_multimode.modes import codebook as codebook_lib
 from dmc_multimode.modes import library
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import motion as motion_lib
+from dmc_multimode.utils import constants
 from dmc_multimode.utils import files
 from dmc_multimode.utils import yaml_lines
 
@@ -135,6 +140,7 @@ class _Mode(_Table):
   takeoff: _Phase = 0.0
   mirror: Annotated[str, pydantic.AfterValidator(_checked_mirror)] = ''
   half_cycle_symmetric: bool = False
+  units: Literal['metres', 'height'] = 'metres'
 
 
 class _Modes(_Table):
@@ -146,8 +152,13 @@ class _Modes(_Table):
 
 def load(
   path: str | os.PathLike[str],
+  stand_height: float = constants.STAND_HEIGHT,
 ) -> tuple[motion_lib.ReferenceMotion, ...]:
   """Reads the modes of a YAML or JSON file, in their order there.
+
+  Args:
+    path: of the file.
+    stand_height: h of the robot that they are for, metres.
 
   Raises:
     ModeFileError: the file cannot be read or is not a valid mode file; the
@@ -160,13 +171,13 @@ def load(
     reason = getattr(error, 'strerror', None) or str(error)
     raise ModeFileError(f'{name}: cannot be read ({reason}).') from None
   try:
-    return _load(content, name.lower().endswith('.json'))
+    return _load(content, name.lower().endswith('.json'), stand_height)
   except yaml_lines.LineError as error:
     raise ModeFileError(f'{name}:{error.line}: {error}') from None
 
 
 def _load(
-  content: bytes, is_json: bool
+  content: bytes, is_json: bool, stand_height: float
 ) -> tuple[motion_lib.ReferenceMotion, ...]:
   """Returns the modes of a file's content; raises LineError."""
   try:
@@ -176,7 +187,7 @@ def _load(
     raise yaml_lines.LineError(line, 'not UTF-8 text.') from None
   data, lines = yaml_lines.parse(text, is_json)
   try:
-    return _motions(data)
+    return _motions(data, stand_height)
   except _FieldError as error:
     known = (error.path[:n] for n in range(len(error.path), -1, -1))
     line = next(lines[prefix] for prefix in known if prefix in lines)
@@ -190,32 +201,41 @@ def motion_from_dict(data: Mapping[str, Any]) -> motion_lib.ReferenceMotion:
     ModeFileError: a field is missing, unknown or wrong; the message names it.
   """
   try:
-    return _motion(_validated(_Mode, data), ())
+    return _motion(_validated(_Mode, data), (), constants.STAND_HEIGHT)
   except _FieldError as error:
     words = (f'[{k}]' if isinstance(k, int) else f'.{k}' for k in error.path)
     place = ''.join(words).lstrip('.') or 'mode'
     raise ModeFileError(f'{place}: {error}') from None
 
 
-def _motions(data: Any) -> tuple[motion_lib.ReferenceMotion, ...]:
+def _motions(
+  data: Any, stand_height: float
+) -> tuple[motion_lib.ReferenceMotion, ...]:
   """Builds the modes of one file; raises _FieldError."""
+
+  def built(mode: _Mode, path: yaml_lines.Path) -> motion_lib.ReferenceMotion:
+    motion = _motion(mode, path, stand_height)
+    return _started(motion, path, stand_height)
+
   if not (isinstance(data, dict) and 'modes' in data):
-    return (_started(_motion(_validated(_Mode, data), ()), ()),)
+    return (built(_validated(_Mode, data), ()),)
   found: dict[str, motion_lib.ReferenceMotion] = {}
   for i, mode in enumerate(_validated(_Modes, data).modes):
     if mode.name in found:
       message = f'mode {mode.name!r} is given twice.'
       raise _FieldError(('modes', i, 'name'), message)
-    found[mode.name] = _started(_motion(mode, ('modes', i)), ('modes', i))
+    found[mode.name] = built(mode, ('modes', i))
   return tuple(found.values())
 
 
 def _started(
-  motion: motion_lib.ReferenceMotion, path: yaml_lines.Path
+  motion: motion_lib.ReferenceMotion, path: yaml_lines.Path, stand_height: float
 ) -> motion_lib.ReferenceMotion:
   """Returns the motion; raises _FieldError if its commands would be lost."""
+  distance = constants.TRACKING_DISTANCE
+  distance *= stand_height / constants.STAND_HEIGHT
   try:
-    motion_lib.check_start(motion)
+    motion_lib.check_start(motion, distance, stand_height=stand_height)
   except ValueError as error:
     raise _FieldError((*path, 'keyframes', 0), str(error)) from None
   return motion
@@ -255,9 +275,16 @@ def _table_at(names: list[str]) -> type[_Table]:
   return next((tables[name] for name in names[::-1] if name in tables), _Mode)
 
 
-def _motion(mode: _Mode, path: yaml_lines.Path) -> motion_lib.ReferenceMotion:
+def _motion(
+  mode: _Mode, path: yaml_lines.Path, stand_height: float
+) -> motion_lib.ReferenceMotion:
   """Builds one mode; raises _FieldError if its keyframes are inconsistent."""
   frames, where = mode.keyframes, (*path, 'keyframes')
+  length, time = 1.0, 1.0
+  if mode.units == 'height':
+    length = stand_height
+    time = math.sqrt(stand_height / constants.GRAVITY)
+  edge = mode.step and {key: length * at for key, at in dict(mode.step).items()}
   _check_phases([frame.phase for frame in frames], where)
   orientations = [
     _orientation(frame, (*where, i)) for i, frame in enumerate(frames)
@@ -266,12 +293,12 @@ def _motion(mode: _Mode, path: yaml_lines.Path) -> motion_lib.ReferenceMotion:
     return motion_lib.ReferenceMotion(
       name=mode.name,
       kind=mode.kind,
-      duration=mode.duration,
+      duration=time * mode.duration,
       phases=np.array([frame.phase for frame in frames]),
-      positions=np.array([frame.position for frame in frames]),
+      positions=length * np.array([frame.position for frame in frames]),
       orientations=np.array(orientations),
       contacts=_contacts(frames, where),
-      ledge=motion_lib.Ledge(**dict(mode.step)) if mode.step else None,
+      ledge=motion_lib.Ledge(**edge) if edge else None,
       takeoff=mode.takeoff,
       mirror=mode.mirror,
       half_cycle_symmetric=mode.half_cycle_symmetric,

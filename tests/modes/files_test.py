@@ -305,3 +305,48 @@ def test_contacts_of_four_feet(tmp_path: pathlib.Path) -> None:
     mode_files.ModeFileError, match='are of 2 feet, before of'
   ):
     mode_files.load(path)
+
+
+def test_units_of_the_standing_height_fit_any_robot(
+  tmp_path: pathlib.Path,
+) -> None:
+  """h = 1 m: lengths are metres, and times seconds over sqrt(9.81)."""
+  path = tmp_path / 'mode.yaml'
+  path.write_text(
+    """
+name: jump
+kind: transient
+units: height
+duration: 4
+step: {edge: 0.5, height: 0.8}
+keyframes:
+  - {phase: 0, position: [0, 0, 1]}
+  - {phase: 1, position: [1.2, 0, 1.8]}
+"""
+  )
+  (large,) = mode_files.load(path, stand_height=1.0)
+  assert large.duration == pytest.approx(4 / 9.81**0.5)
+  assert large.positions.tolist() == [[0, 0, 1], [1.2, 0, 1.8]]
+  (small,) = mode_files.load(path)
+  assert small.duration == pytest.approx(4 * (0.5 / 9.81) ** 0.5)
+  assert small.positions.tolist() == [[0, 0, 0.5], [0.6, 0, 0.9]]
+  assert small.ledge == motion_lib.Ledge(0.25, 0.4)
+
+
+def test_a_mode_in_metres_begins_where_its_robot_stands(
+  tmp_path: pathlib.Path,
+) -> None:
+  path = tmp_path / 'mode.yaml'
+  path.write_text(
+    """
+name: still
+kind: steady
+duration: 1
+keyframes:
+  - {phase: 0, position: [0, 0, 1]}
+  - {phase: 1, position: [0, 0, 1]}
+"""
+  )
+  assert mode_files.load(path, stand_height=1.0)
+  with pytest.raises(mode_files.ModeFileError, match=r'from \(0, 0, 0.5\)'):
+    mode_files.load(path)

@@ -225,10 +225,10 @@ def contact_schedule_agreement(
   foot that should swing agrees in proportion to its clearance, up to a height
   that rises and falls over the swing, 6 cm in its middle, so that the foot is
   set down softly; far above that, it agrees less. In a flight of both feet 5 cm
-  are enough. A foot that should stand agrees in contact. The product over a left
-  and a right foot is 0 for a shuffle, which always has one foot right; of four
-  feet, the mean over both pairs counts, so that one that steps is already worth
-  something.
+  are enough. A foot that should stand agrees in contact. The product over a
+  left and a right foot is 0 for a shuffle, which always has one foot right; of
+  four feet, the mean over both pairs counts, so that one that steps is already
+  worth something.
 
   Args:
     contact, reference_contact: feet on the ground, 0 or 1, [B, F].
