@@ -36,6 +36,7 @@ from dmc_multimode.bin import app
 from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.experiments import launch
 from dmc_multimode.planner import beam_search
+from dmc_multimode.planner import guided_search
 from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.planner import q_learning
 from dmc_multimode.planner import solver as solver_lib
@@ -153,6 +154,7 @@ def _planners() -> dict[str, solver_lib.PlannerConfig]:
   """
   known: dict[str, solver_lib.PlannerConfig] = {
     'beam': beam_search.BeamConfig(_BEAMS.value),
+    'guided': guided_search.GuidedConfig(folder=_SELECTOR.value),
     'q_learning': q_learning.QLearningConfig(),
     'selector': steering.SteeringConfig(_SELECTOR.value),
   }

@@ -20,6 +20,7 @@ from dmc_multimode.pretrained import folder as folder_lib
 from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.utils import files
+from dmc_multimode.walkers import robot as robot_lib
 
 CARD_FILE = 'README.md'
 _WORST = 3  # Transitions that are named.
@@ -37,6 +38,11 @@ class _Policy(NamedTuple):
   run: run_config.RunConfig
   provenance: Mapping[str, Any]
   metrics: Mapping[str, Any]
+
+  @property
+  def robot(self) -> str:
+    """Name of the robot."""
+    return self.trained.robot.name
 
   @property
   def is_old(self) -> bool:
@@ -61,7 +67,10 @@ def card(
     name,
     mode_files.mode_set_from_dict(dict(description)),
     task_config.from_dict(description['task']),
-    task_config.from_dict(metrics['task']),
+    # A report has the robot's name and hash alone.
+    task_config.from_dict(
+      {**metrics['task'], **_only(description['task'], 'robot')}
+    ),
     run_config.from_dict(description['provenance']['run']),
     description['provenance'],
     metrics,
@@ -79,6 +88,11 @@ def card(
   return '\n'.join(line for part in parts for line in part(policy))
 
 
+def _only(values: Mapping[str, Any], name: str) -> dict[str, Any]:
+  """Returns one of the values, if it is there."""
+  return {name: values[name]} if name in values else {}
+
+
 def _introduction(policy: _Policy) -> Iterator[str]:
   count = len(policy.modes)
   yield f'# {policy.name}'
@@ -86,9 +100,10 @@ def _introduction(policy: _Policy) -> Iterator[str]:
   modes = _several(count, 'locomotion mode')
   more = f' and the {count**2} transitions between them' if count > 1 else ''
   yield (
-    f'A policy of dmc_multimode for {modes} of the simulated mini biped{more}. '
-    'This card is written by `python -m benchmarks.release.cards` from '
-    '`policy.json` and `metrics.json`.'
+    f'A policy of dmc_multimode for {modes} of the simulated '
+    f'{policy.robot.replace("_", " ")}{more}. This card is written by '
+    '`python -m benchmarks.release.cards` from `policy.json` and '
+    '`metrics.json`.'
   )
   yield ''
   yield '```python'
@@ -252,6 +267,8 @@ def command(policy: _Policy) -> Iterator[str]:
     steps = min(steps, run.steps)
   yield f'--run_dir=runs/{policy.name}'
   yield f'--steps={steps}'
+  if policy.robot != robot_lib.MINI_BIPED:
+    yield f'--robot={policy.robot}'
   for name, one, other in run_config.differences(default, run):
     if name not in _UNSET and _text(one) != _text(other):
       yield f'--{name}={shlex.quote(_text(other))}'
@@ -271,12 +288,18 @@ def _limits(policy: _Policy) -> Iterator[str]:
   yield ''
 
 
+def _model(policy: _Policy) -> str:
+  """Returns where the robot's declaration is."""
+  of_its_own = policy.robot == robot_lib.MINI_BIPED
+  return f'xml/{"" if of_its_own else "robots/"}{policy.robot}.yaml'
+
+
 def _limitations(policy: _Policy) -> Iterator[str]:
   """Yields the sentences on what the policy is not for."""
   events, metrics = policy.trained.events, policy.metrics
   yield (
-    'It moves the simulated robot of `xml/mini_biped.xml`. It has never been '
-    'on a robot, and knows nothing of people, power or heat.'
+    f'It moves the simulated robot of `{_model(policy)}`. It has never been on '
+    'a robot, and knows nothing of people, power or heat.'
   )
   yield (
     'It was measured in its own modes. Blends of them and other latents were '

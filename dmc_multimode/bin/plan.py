@@ -47,7 +47,10 @@ _KNOTS = flags.DEFINE_integer('knots', None, 'Of the plan; likewise.')
 _DT = flags.DEFINE_float('dt', None, 'Seconds from knot to knot; likewise.')
 _SEED = flags.DEFINE_integer('seed', 0, 'Of a random track, and the planner.')
 _PLANNER = flags.DEFINE_enum(
-  'planner', 'beam', list(solver.PLANNERS), 'Which planner.'
+  'planner',
+  None,
+  list(solver.PLANNERS),
+  'Which planner; by default guided for a policy with a selector, else beam.',
 )
 _REPLAN_EVERY = flags.DEFINE_integer(
   'replan_every', 0, 'Knots after which to plan again; 0 for never.'
@@ -56,8 +59,8 @@ _SECONDS = flags.DEFINE_float(
   'seconds',
   None,
   'Wall-clock budget of each planning, without the compilation of worlds; the '
-  'beam search begins anew with more beams until it is spent. By default it '
-  'ends after --beam_attempts.',
+  'search begins anew with more beams or samples until it is spent. By default '
+  'it ends after its attempts.',
 )
 _PUSH = flags.DEFINE_list(
   'push', [], 'What pushes the robot, m/s: SECONDS:VX or SECONDS:VX:VY, ...'
@@ -115,13 +118,14 @@ def main(argv: Sequence[str]) -> int:
   out = files.output_file('out', _OUT.value)
   figure = files.output_file('figure', _FIGURE.value)
   sizes = config_flags.read_sizes(_SIZES.value)
+  name = _PLANNER.value or solver.default_name(_POLICY.value)
   found = planner.solve(
     _POLICY.value,
     _ARENA.value,
     _SEED.value,
     _read_problem(sizes),
     sizes,
-    config_flags.read(solver.PLANNERS[_PLANNER.value], _PLANNER.value),
+    config_flags.read(solver.PLANNERS[name], name),
     [pushes_lib.parse(item) for item in _PUSH.value],
     _REPLAN_EVERY.value,
     _THREADS.value,

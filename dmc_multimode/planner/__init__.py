@@ -14,6 +14,7 @@ from dmc_multimode.utils import lazy
 
 if TYPE_CHECKING:
   from dmc_multimode.planner.beam_search import BeamConfig as BeamConfig
+  from dmc_multimode.planner.guided_search import GuidedConfig as GuidedConfig
   from dmc_multimode.planner.plan import Course as Course
   from dmc_multimode.planner.plan import ModePlan as ModePlan
   from dmc_multimode.planner.plan import PlanFile as PlanFile
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 _HOMES = {
   'BeamConfig': 'beam_search',
   'Course': 'plan',
+  'GuidedConfig': 'guided_search',
   'ModePlan': 'plan',
   'PlanFile': 'plan',
   'PlanResult': 'plan',
@@ -41,6 +43,7 @@ _HOMES = {
 __all__ = [
   'BeamConfig',
   'Course',
+  'GuidedConfig',
   'ModePlan',
   'PlanFile',
   'PlanResult',

@@ -159,7 +159,7 @@ def beam_search(
     if not worth.any():  # Nobody is left to reach it.
       return front.solution(progress.alive, worth, knots)
     best = float(front.returns[worth].max())
-    report(knot + 1, best, _nearest(problem, progress))
+    report(knot + 1, best, nearest(problem, progress))
     is_last = knot == knots - 1
     duration = problem.config.knot_duration
     place = np.floor(progress.position[:, 0] / _CELL)
@@ -213,7 +213,7 @@ def _stopped(
   )._replace(episodes=front.rollouts)
 
 
-def _nearest(
+def nearest(
   problem: problem_lib.ReachingProblem, progress: problem_lib.Progress
 ) -> float:
   """Returns the least distance from the goal along x, metres."""

@@ -234,6 +234,13 @@ class ReachingProblem:
     """Returns the modes that can begin at once; see `Observer.obeyed`."""
     return self._observer.obeyed()
 
+  def reached(self) -> np.ndarray:
+    """Returns a mask of the robots that stand at the goal now, [B]."""
+    worlds = self._worlds
+    return self._alive & reaching.reached(
+      worlds.qpos, worlds.qvel, worlds.core.terrain, self._goal
+    )
+
   def begin_at(self, other: 'ReachingProblem') -> None:
     """Makes the state of another problem the start of this one.
 
@@ -302,14 +309,11 @@ class ReachingProblem:
     if moved is not None:
       near = self._alive & moved
     path = np.array([self._step(near) for _ in range(self._rest_steps)])
-    there = reaching.reached(
-      worlds.qpos, worlds.qvel, worlds.core.terrain, self._goal
-    )
     return Rest(
       path,
       np.linalg.norm(worlds.qvel[:, :3], axis=1),
       self._alive.copy(),
-      self._alive & near & there,
+      near & self.reached(),
     )
 
   def _step(self, moved: np.ndarray | None = None) -> np.ndarray:

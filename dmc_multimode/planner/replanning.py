@@ -15,6 +15,8 @@ import numpy as np
 import tqdm
 
 from dmc_multimode.arenas import track
+from dmc_multimode.planner import beam_search
+from dmc_multimode.planner import guided_search
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.planner import pushes as pushes_lib
@@ -30,7 +32,7 @@ def solve(
   seed: int = 0,
   problem: reaching.ReachingConfig | None = None,
   sizes: Mapping[str, float] | None = None,
-  planner: str | solver_lib.PlannerConfig = 'beam',
+  planner: str | solver_lib.PlannerConfig | None = None,
   pushes: Sequence[pushes_lib.Push] = (),
   replan_every: int = 0,
   num_threads: int = 0,
@@ -49,14 +51,16 @@ def solve(
     problem: goal, knots and seed; by default those of the track, and `seed`.
     sizes: of the track, metres, where they are not its defaults.
     planner: a name from `solver.PLANNERS`, or a configuration. A selector sees
-      the robot and the ground at every knot, and does not plan.
+      the robot and the ground at every knot, and does not plan; a guided search
+      samples its plans from one, and has its knots. By default a guided search
+      for a policy with a selector beside it, and a beam search for others.
     pushes: on the robot, at knots; unknown to the planner.
     replan_every: knots after which to plan again; 0 for never, an open loop.
     num_threads: of the physics; 0 takes every core.
     quiet: hides the progress bar.
     seconds: wall-clock budget of each planning, checked at knots; compilation
-      of worlds does not count. A beam search that fails then begins anew with
-      twice the beams, up to 4096, until the time is up, whatever its
+      of worlds does not count. A search that fails then begins anew with
+      twice the beams or samples, up to 4096, until the time is up, whatever its
       `attempts`, and is ended in mid-search if need be. None for no budget.
 
   Returns:
@@ -67,8 +71,8 @@ def solve(
       selector.
     ValueError: the track, a size or the planner is unknown, the goal is not
       over the track, a knot is not a whole number of control steps, a push is
-      not at a knot, or `seconds` is not positive and finite, or not for a beam
-      search.
+      not at a knot, or `seconds` is not positive and finite, or not for this
+      planner.
   """
   import torch  # Late: reading a plan's file needs no torch.
 
@@ -80,10 +84,12 @@ def solve(
       )
     planner = solver_lib.PLANNERS[planner]
   _check_replanning(replan_every)
-  solver_lib.check_seconds(seconds, planner)
+  solver_lib.check_seconds(seconds, planner or beam_search.BeamConfig())
   terrain = track.make(arena, sizes=sizes).generate(np.random.RandomState(seed))
   problem = problem or reaching.problem(arena, terrain, seed)
   pushes_lib.by_knot(pushes, problem.knots, problem.knot_duration)
+  if planner is None:
+    planner = solver_lib.PLANNERS[solver_lib.default_name(policy)]
   origin: dict[str, Any] = {
     'replan_every': replan_every,
     'planner': solver_lib.name_of(planner),
@@ -98,6 +104,9 @@ def solve(
       course = plan_lib.Course(arena, dict(sizes or {}), seed, tuple(pushes))
       found = _steer(policy, course, problem, planner)
       return dataclasses.replace(found, origin={**found.origin, **origin})
+    selector = None
+    if isinstance(planner, guided_search.GuidedConfig):
+      selector = steering.load(planner.steering, policy)
     solver = solver_lib.Solver(
       reaching_env.load_policy(policy),
       arena,
@@ -106,6 +115,7 @@ def solve(
       num_threads,
       sizes,
       seconds,
+      selector=selector,
     )
     with _progress(planner, quiet) as report:
       found = follow(solver, pushes, replan_every, report)
@@ -150,7 +160,8 @@ def _progress(
   planner: solver_lib.SearchConfig, quiet: bool
 ) -> Iterator[solver_lib.Report]:
   """Yields a `Report` that shows a progress bar, reset for every search."""
-  unit = 'knot' if solver_lib.name_of(planner) == 'beam' else 'episode'
+  learns = solver_lib.name_of(planner) == 'q_learning'
+  unit = 'episode' if learns else 'knot'
   with tqdm.tqdm(unit=unit, disable=quiet) as bar:
 
     def report(status: solver_lib.Status) -> None:

@@ -127,6 +127,33 @@ class Selector:
     )
     return scores.argmax(dim=-1).numpy()
 
+  @torch.no_grad()
+  def sample(
+    self,
+    observations: np.ndarray,
+    obeyed: np.ndarray,
+    random_state: np.random.RandomState,
+  ) -> np.ndarray:
+    """Returns a mode for each world, [B]: drawn; in the first the likeliest.
+
+    Args:
+      observations: float32 [B, D].
+      obeyed: modes that may be chosen, [B, M].
+      random_state: source of the draws.
+    """
+    scores = self.network(
+      torch.from_numpy(observations), torch.from_numpy(obeyed)
+    ).numpy()
+    # The largest of log-probabilities with Gumbel noise is a draw.
+    noise = random_state.gumbel(size=scores.shape)
+    noise[0] = 0.0
+    return np.argmax(scores + noise, axis=1)
+
+  @torch.no_grad()
+  def values(self, observations: np.ndarray) -> np.ndarray:
+    """Returns the values of observations, float32 [B, D]: [B]."""
+    return self.network.values(torch.from_numpy(observations)).numpy()
+
   def save(self, path: str | os.PathLike[str]) -> None:
     """Writes the selector's files into a folder, each atomically.
 

@@ -1,14 +1,24 @@
 """Solver: a planner on a track and goal, with trials of its plans."""
 
 import contextlib
+import os
 import time
-from typing import Callable, Iterable, Iterator, Mapping, NamedTuple, Sequence
+from typing import (
+  Callable,
+  Iterable,
+  Iterator,
+  Mapping,
+  NamedTuple,
+  Sequence,
+  TYPE_CHECKING,
+)
 
 import numpy as np
 
 from dmc_multimode.arenas import track as track_lib
 from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import budget as budget_lib
+from dmc_multimode.planner import guided_search
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.planner import pushes as pushes_lib
@@ -17,13 +27,22 @@ from dmc_multimode.planner import steering
 from dmc_multimode.suite.reaching import problem as reaching
 from dmc_multimode.utils import config as config_lib
 
-SearchConfig = beam_search.BeamConfig | q_learning.QLearningConfig
+if TYPE_CHECKING:
+  from dmc_multimode.planner import selector as selector_lib
+
+SearchConfig = (
+  beam_search.BeamConfig
+  | guided_search.GuidedConfig
+  | q_learning.QLearningConfig
+)
 PlannerConfig = SearchConfig | steering.SteeringConfig
 PLANNERS: Mapping[str, PlannerConfig] = {  # By name, with their defaults.
   'beam': beam_search.BeamConfig(),
+  'guided': guided_search.GuidedConfig(),
   'q_learning': q_learning.QLearningConfig(),
   'selector': steering.SteeringConfig(),
 }
+_ANYTIME = (beam_search.BeamConfig, guided_search.GuidedConfig)
 _CANDIDATES = 10  # Plans tried in one world until one succeeds.
 _CAUTION = 1.25  # Time reserved for a replay, relative to the estimate.
 
@@ -33,7 +52,7 @@ class Status(NamedTuple):
 
   Attributes:
     search: description of the search.
-    done, total: knots of a beam search, episodes of a Q-learning.
+    done, total: knots of a beam or guided search, episodes of a Q-learning.
     best: return of the best plan so far.
     distance: least final distance from the goal along x, metres.
   """
@@ -55,10 +74,25 @@ def name_of(config: PlannerConfig) -> str:
   )
 
 
+def default_name(policy: str | os.PathLike[str] | reaching.Policy) -> str:
+  """Returns the name of the planner that suits a policy best.
+
+  Args:
+    policy: a name, a folder, or the policy itself.
+
+  Raises:
+    FileNotFoundError: there is no such policy.
+  """
+  named = isinstance(policy, (str, os.PathLike))
+  return 'guided' if named and steering.is_beside(policy) else 'beam'
+
+
 def num_worlds(config: SearchConfig, num_modes: int) -> int:
   """Returns the number of worlds of a planner."""
   if isinstance(config, beam_search.BeamConfig):
     return config.beams * num_modes
+  if isinstance(config, guided_search.GuidedConfig):
+    return config.samples
   return config.trials
 
 
@@ -74,13 +108,13 @@ def check_seconds(seconds: float | None, planner: PlannerConfig) -> None:
 
   Args:
     seconds: positive and finite, or None.
-    planner: the beam search, unless `seconds` is None.
+    planner: a beam or guided search, unless `seconds` is None.
   """
   _Limit(seconds)
-  if seconds is not None and not isinstance(planner, beam_search.BeamConfig):
+  if seconds is not None and not isinstance(planner, _ANYTIME):
     raise ValueError(
-      f'seconds is a budget of the beam search, not of {name_of(planner)}, '
-      'which ends with its episodes.'
+      'seconds is a budget of the beam search and the guided one, not of '
+      f'{name_of(planner)}, which ends with its episodes.'
     )
 
 
@@ -109,6 +143,7 @@ class Solver:
     sizes: Mapping[str, float] | None = None,
     seconds: float | None = None,
     clock: Callable[[], float] = time.perf_counter,
+    selector: 'selector_lib.Selector | None' = None,
   ):
     """Compiles the worlds.
 
@@ -121,15 +156,21 @@ class Solver:
       sizes: of the track, metres, where they are not its defaults.
       seconds: wall-clock budget of every `solve`; None for none.
       clock: returns the current wall-clock time, seconds.
+      selector: that guides a guided search, whose knots are the selector's.
 
     Raises:
-      ValueError: the track is unknown, the goal is not over it, a knot is not a
-        whole number of control steps, or the planner takes no such budget.
+      ValueError: a guided search has no selector, the track is unknown, the
+        goal is not over it, a knot is not a whole number of control steps, or
+        the planner takes no such budget.
     """
     check_seconds(seconds, planner)
-    self._policy = policy
+    if isinstance(planner, guided_search.GuidedConfig) and selector is None:
+      raise ValueError('A guided search needs a selector.')
+    self._policy, self._selector = policy, selector
     self._planner, self._seconds, self._clock = planner, seconds, clock
     self._course = plan_lib.Course(arena, dict(sizes or {}), config.seed)
+    if selector:
+      config = reaching.in_knots(config, selector.knot_duration)
     self._config, self._num_threads = config, num_threads
     self._problems: dict[SearchConfig, problem_lib.ReachingProblem] = {}
     self._problem(next(iter(self._searches())))
@@ -140,7 +181,7 @@ class Solver:
 
   def _searches(self) -> Iterable[SearchConfig]:
     """Returns the configurations of the searches, each for one attempt."""
-    if not isinstance(self._planner, beam_search.BeamConfig):
+    if not isinstance(self._planner, _ANYTIME):
       return [self._planner]
     if self._seconds is None:
       return self._planner.escalation()
@@ -270,17 +311,17 @@ class Solver:
       problem = self._problem(planner)
     problem.begin_at(robot)
     began = (self._config.knots - problem.knots) * self._config.knot_duration
-    if isinstance(planner, beam_search.BeamConfig):
-      name, total = f'{planner.beams} beams', problem.knots
-    else:
-      name, total = f'{planner.trials} trials', planner.episodes
+    name, total = _described(planner, problem.knots)
     tell = lambda *row: report(
       Status(f'{name} from {began:.2f} s', row[0], total, *row[1:])
     )
+    if isinstance(planner, q_learning.QLearningConfig):
+      return q_learning.q_learning(problem, planner, tell)
+    stop = self._stopper(problem.num_worlds, budget)
     if isinstance(planner, beam_search.BeamConfig):
-      stop = self._stopper(problem.num_worlds, budget)
       return beam_search.beam_search(problem, planner, tell, stop)
-    return q_learning.q_learning(problem, planner, tell)
+    assert self._selector is not None
+    return guided_search.guided_search(problem, self._selector, tell, stop)
 
   def _stopper(
     self, worlds: int, budget: budget_lib.Budget
@@ -339,6 +380,15 @@ class Solver:
     steps = self._alone.control_steps - steps
     if steps:  # A robot that has fallen takes none, and no time.
       self._pace = (self._clock() - began) / steps
+
+
+def _described(config: SearchConfig, knots: int) -> tuple[str, int]:
+  """Returns what a search is called, and its steps."""
+  if isinstance(config, beam_search.BeamConfig):
+    return f'{config.beams} beams', knots
+  if isinstance(config, guided_search.GuidedConfig):
+    return f'{config.samples} samples', knots
+  return f'{config.trials} trials', config.episodes
 
 
 def pack(

@@ -6,8 +6,8 @@ import threading
 import numpy as np
 
 from dmc_multimode import pretrained
-from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import plan as plan_lib
+from dmc_multimode.planner import selector as selector_lib
 from dmc_multimode.planner import solver
 from dmc_multimode.suite.reaching import problem as reaching
 from dmc_multimode.utils import durations
@@ -28,17 +28,18 @@ class PlanSearch:
     policy: pretrained.Policy,
     arena: str,
     config: reaching.ReachingConfig,
-    planner: beam_search.BeamConfig,
+    planner: solver.SearchConfig,
     threads: int,
+    selector: selector_lib.Selector | None,
   ):
     """Starts the search; for the arguments see `solver.Solver`."""
     self.status = solver.Status('compiling', 0, 1, 0.0, np.inf)
     self._cancelled = threading.Event()
     executor = futures.ThreadPoolExecutor(1)
     self._found = executor.submit(
-      lambda: solver.Solver(policy, arena, config, planner, threads).solve(
-        self._report
-      )
+      lambda: solver.Solver(
+        policy, arena, config, planner, threads, selector=selector
+      ).solve(self._report)
     )
     executor.shutdown(wait=False)  # The exception ends the thread.
 

@@ -11,6 +11,7 @@ import numpy as np
 from dmc_multimode import pretrained
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.planner import beam_search
+from dmc_multimode.planner import guided_search
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import selector as selector_lib
 from dmc_multimode.planner import solver
@@ -82,7 +83,7 @@ class LiveSession:
     policy: pretrained.Policy,
     arena: str = 'flat',
     seed: int = 0,
-    planner: beam_search.BeamConfig | None = None,
+    planner: solver.SearchConfig | None = None,
     threads: int = 1,
     disturbed: events.TrainingEvents = events.NONE,
     selector: selector_lib.Selector | None = None,
@@ -94,17 +95,21 @@ class LiveSession:
       policy: to run.
       arena: name of a track.
       seed: see the class.
-      planner: configuration of the planner.
+      planner: configuration of the planner; by default a guided search with a
+        selector, and a beam search without.
       threads: of the planner's physics.
       disturbed: result of `events.fixed`; plans are made for the nominal robot.
-      selector: for the autopilot.
+      selector: for the autopilot and the guided search.
       difficulty: of the endless track, 0 to 1.
 
     Raises:
       ValueError: the track is unknown, a number out of bounds, or the selector
         of another policy.
     """
-    self._policy, self._planner = policy, planner or beam_search.BeamConfig()
+    self._policy = policy
+    self._planner = planner or (
+      guided_search.GuidedConfig() if selector else beam_search.BeamConfig()
+    )
     self._mode_set, self._threads = policy.mode_set, threads
     self.blends = blends_lib.Blends(policy.mode_set)
     self.speed = 1.0
@@ -305,7 +310,12 @@ class LiveSession:
     terrain = self.robot.task.root_entity.terrain
     problem = reaching.problem(self.arena, terrain, self.seed)
     self._search = plan_search.PlanSearch(
-      self._policy, self.arena, problem, self._planner, self._threads
+      self._policy,
+      self.arena,
+      problem,
+      self._planner,
+      self._threads,
+      self._selector,
     )
 
   def replay(self) -> None:

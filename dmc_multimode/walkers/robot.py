@@ -49,6 +49,7 @@ if TYPE_CHECKING:
 
 MAX_BYTES = 100_000  # Of a declaration.
 MAX_JOINTS = 64
+MINI_BIPED = 'mini_biped'
 _SHIPPED = 'robots'  # Folder of the declarations in `xml/`.
 _DIGEST = 12  # Characters of a hash that are shown.
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_-]{0,63}')
@@ -240,7 +241,7 @@ def names() -> list[str]:
   All but the mini biped have their models in packages of the extra `robots`.
   """
   folder = resources.path('xml', _SHIPPED)
-  return ['mini_biped', *sorted(path.stem for path in folder.glob('*.yaml'))]
+  return [MINI_BIPED, *sorted(path.stem for path in folder.glob('*.yaml'))]
 
 
 def load(path: str | os.PathLike[str]) -> Robot:
@@ -273,7 +274,7 @@ def load(path: str | os.PathLike[str]) -> Robot:
 
 def _place(name: str) -> pathlib.Path:
   """Returns the place of a robot's file, from the file or a shipped name."""
-  if name == 'mini_biped':
+  if name == MINI_BIPED:
     return resources.path('xml', 'mini_biped.yaml')
   if name in names():
     return resources.path('xml', f'{_SHIPPED}/{name}.yaml')

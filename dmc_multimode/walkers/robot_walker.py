@@ -80,6 +80,7 @@ class RobotWalker(legacy_base.Walker):
       for actuator, bound in zip(self.actuators, bounds, strict=True):
         actuator.ctrlrange = bound
       self._add_cameras()
+      self._add_light()
 
   def _add_cameras(self) -> None:
     """Adds the cameras that follow the robot, unless it has them."""
@@ -93,6 +94,23 @@ class RobotWalker(legacy_base.Walker):
           xyaxes=axes,
           fovy=45,
         )
+
+  def _add_light(self) -> None:
+    """Adds a light that follows the robot and casts its shadow, if it has none.
+
+    As the mini biped's own. The lights of its world are left out of a model.
+    """
+    if not self._mjcf_root.find_all('light'):
+      self.root_body.add(
+        'light',
+        name='key',
+        mode='trackcom',
+        directional=True,
+        pos=self.robot.size * np.array([0.0, -1.2, 3.0]),
+        dir=[0.0, 0.4, -1.0],
+        diffuse=[0.5] * 3,
+        specular=[0.15] * 3,
+      )
 
   def _check_names(self) -> None:
     """Raises ValueError unless the declared joints are those of the model."""

@@ -14,9 +14,10 @@ def replay(
   config: reaching.ReachingConfig,
   plan: plan_lib.ModePlan,
   pushes: Sequence[pushes_lib.Push] = (),
+  arena: str = 'flat',
 ) -> problem_lib.Trials:
-  """Returns where a plan leads to on flat ground, in one world."""
+  """Returns where a plan leads to, in one world."""
   robot = problem_lib.ReachingProblem(
-    policy, track.make('flat'), config, 1, 1, pushes
+    policy, track.make(arena), config, 1, 1, pushes
   )
   return robot.rollout(plan.indices(robot.mode_set)[None])
