@@ -96,7 +96,7 @@ def parts(episodes: int) -> list[Part]:
   return [
     *(
       Part(name, _EVALUATION.format(name=name, episodes=episodes))
-      for name in pretrained.names()
+      for name in pretrained.names('mini_biped')
     ),
     *(
       Part(f'curves_{name}', _CURVES.format(name=name, uniform=uniform))

@@ -8,18 +8,41 @@ from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.utils import files
 from dmc_multimode.utils import resources
+from dmc_multimode.walkers import robot_files
 
 DESCRIPTION_FILE = 'policy.json'
 RUN_SUBFOLDER = 'policy'  # Folder of the policy in a run's folder.
+_MINI_BIPED = 'mini_biped', 'mini_biped.xml'  # Not named in a policy.
 FORMAT = 'dmc_multimode.policy.1'
 
 
-def names() -> tuple[str, ...]:
-  """Returns the names of the shipped policies."""
-  is_policy = lambda name: (
-    resources.path('pretrained', name) / DESCRIPTION_FILE
-  ).is_file()
-  return tuple(filter(is_policy, resources.names('pretrained')))
+def names(robot: str | None = None, installed: bool = False) -> tuple[str, ...]:
+  """Returns the names of the shipped policies.
+
+  Args:
+    robot: only those of the robot of this name, 'mini_biped' for example.
+    installed: only those whose robot's model is here: models of other robots
+      come with the extra `robots`.
+  """
+  found = []
+  for name in resources.names('pretrained'):
+    folder = resources.path('pretrained', name)
+    if not (folder / DESCRIPTION_FILE).is_file():
+      continue
+    known, model = _robot(folder)
+    here = not installed or robot_files.is_here(model)
+    if here and robot in (None, known):
+      found.append(name)
+  return tuple(found)
+
+
+def _robot(folder: pathlib.Path) -> tuple[str, str]:
+  """Returns the name of a policy's robot, and of its model's file."""
+  task = read_json(folder / DESCRIPTION_FILE).get('task', {})
+  if 'robot' not in task:
+    return _MINI_BIPED
+  declaration = task['robot']['declaration']
+  return declaration['name'], declaration['model']
 
 
 def find(policy: str | os.PathLike[str]) -> pathlib.Path:

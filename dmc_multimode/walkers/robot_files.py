@@ -103,6 +103,14 @@ def is_packaged(name: str) -> bool:
   return name.startswith(PACKAGE)
 
 
+def is_here(name: str) -> bool:
+  """Returns whether the model of a name needs no package, or has it."""
+  if not is_packaged(name):
+    return True
+  package, _, _ = name.removeprefix(PACKAGE).partition('/')
+  return importlib.util.find_spec(package) is not None
+
+
 def _package_folder(name: str) -> pathlib.Path:
   """Returns the folder of an installed package, which is not imported."""
   if not _PACKAGE_NAME.fullmatch(name):

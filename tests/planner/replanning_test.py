@@ -54,7 +54,10 @@ def test_solve_by_names() -> None:
   ('arguments', 'message'),
   [
     ({'arena': 'moat'}, "Unknown arena 'moat'"),
-    ({'planner': 'luck'}, "Unknown planner 'luck'; there are beam, guided, q_learning"),
+    (
+      {'planner': 'luck'},
+      "Unknown planner 'luck'; there are beam, guided, q_learning",
+    ),
     ({'replan_every': -1}, 'replan_every must not be negative'),
     ({'pushes': [pushes_lib.Push(0.1, (1.0, 0.0, 0.0))]}, 'not at a knot'),
   ],

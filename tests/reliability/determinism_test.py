@@ -60,7 +60,7 @@ def test_physics_is_the_same_in_another_process(expected: str) -> None:
   assert done.stdout.split()[-1] == expected
 
 
-@pytest.mark.parametrize('name', pretrained.names())
+@pytest.mark.parametrize('name', pretrained.names(installed=True))
 def test_seeds_are_in_the_metrics(name: str) -> None:
   """Of the evaluation, and of the training with all that it draws."""
   metrics = pretrained.load(name).metrics

@@ -12,7 +12,7 @@ reproduce = modules.load('paper.reproduce')
 
 def test_every_shipped_policy_is_evaluated() -> None:
   parts = {part.name: part for part in reproduce.parts(2)}
-  assert set(pretrained.names()) <= set(parts)
+  assert set(pretrained.names('mini_biped')) <= set(parts)
   assert parts['pi2'].needs == {'pi2'}
   assert '--episodes=2' in parts['pi2'].words.split()
   assert parts['planning'].needs == {'pi2'}

@@ -24,7 +24,7 @@ def _contents(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
   return read('policy.json'), read('metrics.json')
 
 
-@pytest.mark.parametrize('name', pretrained.names())
+@pytest.mark.parametrize('name', pretrained.names(installed=True))
 def test_shipped_cards_are_those_of_their_policies(name: str) -> None:
   shipped = (folder_lib.find(name) / cards.CARD_FILE).read_text()
   assert shipped == cards.read(name), 'run python -m benchmarks.release.cards'
@@ -88,7 +88,7 @@ def parse(monkeypatch: pytest.MonkeyPatch) -> Any:
   default = run_config.RunConfig()
   for part in ('ppo', 'sampling', 'task'):
     config_flags.define(getattr(default, part), part)
-  for name in ('modes', 'run_dir', 'init_from'):
+  for name in ('modes', 'run_dir', 'init_from', 'robot'):
     flags.DEFINE_string(name, '', '', flag_values=own)
   for name in ('steps', 'seed', 'num_worlds', 'threads'):
     flags.DEFINE_integer(name, getattr(default, name), '', flag_values=own)
@@ -108,7 +108,7 @@ def parse(monkeypatch: pytest.MonkeyPatch) -> Any:
   return read
 
 
-@pytest.mark.parametrize('name', pretrained.names())
+@pytest.mark.parametrize('name', pretrained.names(installed=True))
 def test_the_command_is_that_of_the_training(name: str, parse: Any) -> None:
   (text,) = re.findall(r'```sh\n(.*?)```', cards.read(name), re.DOTALL)
   description, _ = _contents(name)
