@@ -248,6 +248,29 @@ def test_bad_sizes(name: str, sizes: dict[str, Any], message: str) -> None:
   assert '\n' not in str(error.value)
 
 
+def test_either_of_several_layouts() -> None:
+  """Each with the sizes that it has, in a pool of boxes for the largest."""
+  sizes = {'length': 4.0, 'width': 0.3}
+  arena = track.make('gap+gaps_and_blocks', sizes=sizes)
+  assert arena.is_random
+  most = layouts.most_pieces('gaps_and_blocks', {'length': 4.0})
+  assert arena.num_segments == most
+  drawn = [arena.generate(np.random.RandomState(seed)) for seed in range(20)]
+  counts = [int(np.isfinite(terrain.starts).sum()) for terrain in drawn]
+  gaps = [t for t, count in zip(drawn, counts, strict=True) if count == 2]
+  assert 4 <= len(gaps) <= 16
+  for terrain in gaps:
+    assert terrain.starts[0, 1] - terrain.ends[0, 0] == pytest.approx(0.3)
+  ends = [
+    t.starts[0, count - 1] for t, count in zip(drawn, counts, strict=True)
+  ]
+  assert max(ends) <= 4.0
+  with pytest.raises(ValueError, match="'gap\\+flat' has no size 'length'"):
+    track.make('gap+flat', sizes={'length': 4.0})
+  with pytest.raises(ValueError, match="Unknown arena 'moat'; arenas are flat"):
+    track.make('gap+moat')
+
+
 def test_sizes_may_vary() -> None:
   """From draw to draw, where a layout does not count with them."""
   arena = track.make(
