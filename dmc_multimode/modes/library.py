@@ -28,6 +28,7 @@ _LEAP_LENGTHS = {  # Metres a cycle.
   'left': 0.3,
   'right': 0.3,
 }
+_FAR_LENGTH = 0.9  # Likewise, of a leap across a gap of 0.55 m.
 _DIRECTIONS = {
   'forward': (1.0, 0.0),
   'backward': (-1.0, 0.0),
@@ -124,8 +125,10 @@ def _hop(direction: str) -> motion_lib.ReferenceMotion:
   return _level('hop', direction, phases, contacts, in_sync=True)
 
 
-def _leap(direction: str) -> motion_lib.ReferenceMotion:
-  length = _LEAP_LENGTHS[direction]
+def _leap(
+  direction: str, length: float | None = None
+) -> motion_lib.ReferenceMotion:
+  length = length or _LEAP_LENGTHS[direction]
   path = np.outer(_LEAP_PROGRESS, np.array(_DIRECTIONS[direction]) * length)
   flight = (np.array(_LEAP_PHASES) >= 0.42) & (np.array(_LEAP_PHASES) < 0.70)
   return motion_lib.ReferenceMotion(
@@ -291,6 +294,8 @@ def modes() -> Mapping[str, motion_lib.ReferenceMotion]:
   motions = [_idle()]
   motions += [_walk(direction) for direction in _DIRECTIONS]
   motions += [_leap(direction) for direction in _DIRECTIONS]
+  far = _leap('forward', _FAR_LENGTH)
+  motions += [dataclasses.replace(far, name='leap_far', mirror='leap_far')]
   motions += [_hop('forward'), _launch(), _descent()]
   motions += [_turn(side) for side in ('left', 'right')]
   return {motion.name: motion for motion in motions}
@@ -308,6 +313,17 @@ SETS: Mapping[str, tuple[str, ...]] = {
   + tuple(f'walk_{d}' for d in _DIRECTIONS)
   + tuple(f'leap_{d}' for d in _DIRECTIONS)
   + ('hop_forward', 'launch', 'step_down', 'turn_left', 'turn_right'),
+  'pi_parkour': (
+    'idle',
+    'walk_forward',
+    'hop_forward',
+    'leap_forward',
+    'leap_far',
+    'launch',
+    'step_down',
+    'turn_left',
+    'turn_right',
+  ),
   'quickstart': ('idle', 'walk_forward', 'leap_forward'),
   'quadruped': ('stand', 'trot_forward', 'pronk_forward'),
 }

@@ -49,6 +49,7 @@ _WITH_CONTACT = _DEFAULT_GAINS.with_weights(
 REWARD_GAINS: Mapping[str, rewards.RewardGains] = {
   'pi3': _WITH_CONTACT,
   'pi_all': _WITH_CONTACT,
+  'pi_parkour': _WITH_CONTACT,
 }
 
 
@@ -291,7 +292,7 @@ _EVERY = ('no_reward_visualization',)
 for _mode in library.modes():
   _level = 'easy' if _mode in _EASY else 'hard'
   _register(_mode, imitation, _mode, _level, *_EVERY)
-for _set in ('pi1', 'pi2', 'pi3', 'pi_all'):
+for _set in ('pi1', 'pi2', 'pi3', 'pi_all', 'pi_parkour'):
   _register(_set, imitation, _set, 'hard', 'multimode', *_EVERY)
 for _track in reaching.TRACKS:
   _register(f'reach_{_track}', reach, _track, 'hard', 'reaching', *_EVERY)

@@ -101,7 +101,8 @@ def test_step_down_falls_as_gravity_has_it() -> None:
 
 
 @pytest.mark.parametrize(
-  ('name', 'size'), [('pi1', 9), ('pi2', 4), ('pi3', 4), ('pi_all', 14)]
+  ('name', 'size'),
+  [('pi1', 9), ('pi2', 4), ('pi3', 4), ('pi_all', 14), ('pi_parkour', 9)],
 )
 def test_sets(name: str, size: int) -> None:
   motions = library.resolve(name)
@@ -142,7 +143,7 @@ def test_modes_of_four_feet() -> None:
 
 def test_motions_of_a_robot_of_another_height() -> None:
   """Lengths in heights h, times in sqrt(h / g): the Froude number is kept."""
-  same = library.resolve('pi_all')
+  same = library.resolve(list(library.modes()))
   for one, other in zip(same, library.modes().values(), strict=True):
     assert one is library.modes()[one.name]
     assert other.name in library.modes()

@@ -100,7 +100,11 @@ for _task in _TASKS:
 
 def test_every_mode_and_set_has_a_task() -> None:
   reach = tuple(f'reach_{track}' for track in reaching.TRACKS)
-  assert _TASKS == (*library.modes(), 'pi1', 'pi2', 'pi3', 'pi_all', *reach)
+  assert _TASKS == (
+    *library.modes(),
+    *('pi1', 'pi2', 'pi3', 'pi_all', 'pi_parkour'),
+    *reach,
+  )
 
 
 @pytest.mark.parametrize('mode', library.modes())

@@ -19,7 +19,7 @@ _FORWARD = 0.1  # Metres a cycle: slower modes meet no obstacle.
 _FOOTHOLD = 0.15  # Metres ahead of the trunk where the ground never changes.
 
 # Of a flight over level ground, metres.
-_GAP_WIDTH = (0.1, 0.45)
+_GAP_WIDTH = (0.1, 0.65)
 _GAP_OF_FLIGHT = 1.4  # Of the trunk's way in flight: the legs swing ahead.
 _GAP_SHIFT = (-0.06, 0.06)
 _LANDING_RISE = (-0.15, 0.1)
