@@ -91,11 +91,11 @@ _COMMANDS: Mapping[str, tuple[str, str]] = {
 }
 
 
-def _film(path: pathlib.Path, **what: Any) -> None:
-  """Records pi2 into a GIF."""
+def _film(path: pathlib.Path, policy: str = POLICY, **what: Any) -> None:
+  """Records a policy into a GIF."""
   width, height = _SIZE
   config = viewer.RecordingConfig(width=width, height=height)
-  dmm.record(POLICY, out=path, config=config, quiet=True, **what)
+  dmm.record(policy, out=path, config=config, quiet=True, **what)
   thin(path)
 
 
@@ -249,6 +249,17 @@ PICTURES: Mapping[str, Callable[[pathlib.Path], None]] = {
   'pi2.gif': functools.partial(_film, schedule=SCHEDULE),
   'parkour.gif': lambda path: _film(
     path, plan=_plan('parkour', 'selector').file()
+  ),
+  # Of the extra `robots`.
+  'go1.gif': functools.partial(
+    _film,
+    policy='go1_quickstart',
+    schedule='trot_forward:2.4,pronk_forward:1.9,stand:0.8',
+  ),
+  'berkeley.gif': functools.partial(
+    _film,
+    policy='berkeley_quickstart',
+    schedule='walk_forward:2.4,leap_forward:2.4,idle:0.8',
   ),
   'pi2.png': _modes,
   'plan_frames.png': _plan_frames,
