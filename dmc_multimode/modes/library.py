@@ -316,13 +316,10 @@ SETS: Mapping[str, tuple[str, ...]] = {
   'pi_parkour': (
     'idle',
     'walk_forward',
-    'hop_forward',
     'leap_forward',
     'leap_far',
     'launch',
     'step_down',
-    'turn_left',
-    'turn_right',
   ),
   'quickstart': ('idle', 'walk_forward', 'leap_forward'),
   'quadruped': ('stand', 'trot_forward', 'pronk_forward'),

@@ -102,7 +102,7 @@ def test_step_down_falls_as_gravity_has_it() -> None:
 
 @pytest.mark.parametrize(
   ('name', 'size'),
-  [('pi1', 9), ('pi2', 4), ('pi3', 4), ('pi_all', 14), ('pi_parkour', 9)],
+  [('pi1', 9), ('pi2', 4), ('pi3', 4), ('pi_all', 14), ('pi_parkour', 6)],
 )
 def test_sets(name: str, size: int) -> None:
   motions = library.resolve(name)
