@@ -83,8 +83,9 @@ def default_name(policy: str | os.PathLike[str] | reaching.Policy) -> str:
   Raises:
     FileNotFoundError: there is no such policy.
   """
-  named = isinstance(policy, (str, os.PathLike))
-  return 'guided' if named and steering.is_beside(policy) else 'beam'
+  if isinstance(policy, (str, os.PathLike)) and steering.is_beside(policy):
+    return 'guided'
+  return 'beam'
 
 
 def num_worlds(config: SearchConfig, num_modes: int) -> int:
