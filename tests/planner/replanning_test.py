@@ -70,7 +70,7 @@ def test_solve_rejects(arguments: dict[str, Any], message: str) -> None:
 
 
 def test_solve_plans_for_another_robot_on_another_map() -> None:
-  """What is carried out is what was planned, with another outcome."""
+  """The plan is the same for any robot, and its outcome is not."""
   small = beam_search.BeamConfig(2, attempts=1)
 
   def solve(arena: str, **lies: Any) -> plan_lib.PlanResult:
