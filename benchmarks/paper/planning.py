@@ -74,7 +74,6 @@ _COLUMNS = (
 )
 
 Row = common.Row
-_PUSH_PERIOD = 1.0  # Seconds.
 
 
 def solve(
@@ -86,13 +85,17 @@ def solve(
   seconds: float | None = None,
 ) -> Row:
   """Returns what a planner finds on a track, with threads or all cores."""
+  pushes: Sequence[planner_lib.Push] = ()
+  if name == _TRACK.value:
+    knots = config.knots, config.knot_duration
+    pushes = pushes_lib.draw(_PUSH_SPEED.value, *knots, config.seed)
   found = planner_lib.solve(
     policy,
     name,
     config.seed,
     config,
     planner=planner,
-    pushes=_pushes(config) if name == _TRACK.value else (),
+    pushes=pushes,
     num_threads=threads,
     quiet=True,
     seconds=seconds,
@@ -110,22 +113,6 @@ def solve(
     'plan': list(found.plan.modes),
     **{k: v for k, v in found.origin.items() if k.startswith('decision')},
   }
-
-
-def _pushes(config: reaching.ReachingConfig) -> list[pushes_lib.Push]:
-  """Returns pushes in random directions, about once a second, at knots."""
-  speed, random_state = _PUSH_SPEED.value, np.random.RandomState(config.seed)
-  if not speed:
-    return []
-  apart = round(_PUSH_PERIOD / config.knot_duration)
-  angles = random_state.uniform(0, 2 * np.pi, config.knots)
-  return [
-    pushes_lib.Push(
-      knot * config.knot_duration,
-      (speed * np.cos(angles[knot]), speed * np.sin(angles[knot]), 0.0),
-    )
-    for knot in range(apart, config.knots, apart)
-  ]
 
 
 def summary(rows: Sequence[Row]) -> Row:

@@ -19,6 +19,7 @@ from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import episodes
+from dmc_multimode.suite.imitation import events as events_lib
 from dmc_multimode.suite.reaching import problem as reaching
 from dmc_multimode.suite.reaching import sensing
 from dmc_multimode.utils import durations
@@ -124,6 +125,7 @@ class ReachingProblem:
     num_threads: int = 0,
     pushes: Sequence[pushes_lib.Push] = (),
     scan_errors: sensing.ScanErrors = sensing.EXACT,
+    disturbed: events_lib.TrainingEvents = events_lib.NONE,
   ):
     """Compiles the worlds and puts the robots at the start.
 
@@ -135,6 +137,7 @@ class ReachingProblem:
       num_threads: of the physics; 0 takes every core.
       pushes: applied to all robots at knots, after the mode is chosen.
       scan_errors: of the ground in `observe`.
+      disturbed: of robot and ground; see `events.fixed`.
 
     Raises:
       ValueError: a knot is not a whole number of control steps, the goal is not
@@ -148,7 +151,7 @@ class ReachingProblem:
         policy.mode_set,
         episodes.ScheduledEpisodes(schedule_lib.single(np.zeros(1))),
         arena,
-        reaching.task_config(policy, config),
+        reaching.task_config(policy, config, disturbed),
       ),
       num_worlds,
       config.seed,
@@ -157,8 +160,7 @@ class ReachingProblem:
     )
     self._observer = sensing.Observer(policy, self._worlds.core, scan_errors)
     self._random_state = np.random.RandomState(config.seed)
-    shift = scan_errors.shift
-    self._shift = self._random_state.uniform(-shift, shift, num_worlds)
+    self._shift = scan_errors.draw_shift(num_worlds, self._random_state)
     self.knot_steps = reaching.knot_steps(config, self.control_timestep)
     self._pushes = pushes_lib.by_knot(
       pushes, config.knots, config.knot_duration
@@ -241,11 +243,14 @@ class ReachingProblem:
       worlds.qpos, worlds.qvel, worlds.core.terrain, self._goal
     )
 
-  def begin_at(self, other: 'ReachingProblem') -> None:
+  def begin_at(self, other: 'ReachingProblem', map_error: float = 0.0) -> None:
     """Makes the state of another problem the start of this one.
+
+    Disturbances are no part of the state: who is nominal stays so.
 
     Args:
       other: on the same track, with the same knots; its first world is used.
+      map_error: by which all edges are nearer here than there, metres.
 
     Raises:
       ValueError: the other problem has another task.
@@ -254,7 +259,10 @@ class ReachingProblem:
       np.zeros(self._worlds.num_worlds, dtype=np.int64), other._worlds
     )
     alive = np.repeat(other._alive[:1], self.num_worlds)
-    self._start = _Start(self._worlds.state(), other._knot, alive)
+    state = self._worlds.state()
+    for name in ('terrain/starts', 'terrain/ends'):
+      state[name] -= map_error
+    self._start = _Start(state, other._knot, alive)
     self.reset()
 
   def reset(self) -> None:

@@ -73,6 +73,39 @@ def from_list(values: Any) -> tuple[Push, ...]:
     raise ValueError(f'These are no pushes: {reprlib.repr(values)}.') from error
 
 
+def draw(
+  speed: float,
+  knots: int,
+  knot_duration: float,
+  seed: int,
+  period: float = 1.0,
+) -> tuple[Push, ...]:
+  """Returns pushes in random horizontal directions, at knots.
+
+  Args:
+    speed: of each, m/s; no pushes at 0.
+    knots: number of knots in the plan.
+    knot_duration: seconds from knot to knot.
+    seed: of the directions.
+    period: seconds between pushes, about: a whole number of knots.
+  """
+  if not speed:
+    return ()
+  apart = max(round(period / knot_duration), 1)
+  angles = np.random.RandomState(seed).uniform(0, 2 * np.pi, knots)
+  return tuple(
+    Push(
+      knot * knot_duration,
+      (
+        float(speed * np.cos(angles[knot])),
+        float(speed * np.sin(angles[knot])),
+        0.0,
+      ),
+    )
+    for knot in range(apart, knots, apart)
+  )
+
+
 def by_knot(
   pushes: Sequence[Push], knots: int, knot_duration: float
 ) -> dict[int, np.ndarray]:

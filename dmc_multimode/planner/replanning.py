@@ -1,8 +1,9 @@
 """Receding-horizon planning, from the current state of the robot.
 
 The planner knows the robot's state at the knot of planning, but not the pushes
-that follow. It plans to the end, the robot follows for some knots, and it plans
-again. If the rest of the former plan still succeeds in simulation, it is kept.
+that follow, nor what disturbs the robot. It plans to the end, the robot follows
+for some knots, and it plans again. If the rest of the former plan still
+succeeds in simulation, it is kept.
 """
 
 import contextlib
@@ -22,6 +23,7 @@ from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.planner import solver as solver_lib
 from dmc_multimode.planner import steering
+from dmc_multimode.suite.imitation import events as events_lib
 from dmc_multimode.suite.reaching import environment as reaching_env
 from dmc_multimode.suite.reaching import problem as reaching
 
@@ -38,6 +40,8 @@ def solve(
   num_threads: int = 0,
   quiet: bool = False,
   seconds: float | None = None,
+  disturbed: events_lib.TrainingEvents = events_lib.NONE,
+  map_error: float = 0.0,
 ) -> plan_lib.PlanResult:
   """Plans across a track, once or, with `replan_every`, again on the way.
 
@@ -62,17 +66,21 @@ def solve(
       of worlds does not count. A search that fails then begins anew with
       twice the beams or samples, up to 4096, until the time is up, whatever its
       `attempts`, and is ended in mid-search if need be. None for no budget.
+    disturbed: of the robot and the ground, see `events.fixed`; searches are for
+      the nominal ones. An action delay is at most two control steps.
+    map_error: by which all edges are nearer where a search plans than where the
+      robot is, metres. A selector has no map; see `SteeringConfig.scan_errors`.
 
   Returns:
-    The best plan found, successful or not.
+    The best plan found, successful or not, as the robot carried it out.
 
   Raises:
     FileNotFoundError, TypeError: `policy` is not a policy, or it has no
       selector.
     ValueError: the track, a size or the planner is unknown, the goal is not
       over the track, a knot is not a whole number of control steps, a push is
-      not at a knot, or `seconds` is not positive and finite, or not for this
-      planner.
+      not at a knot, or `seconds` is not positive and finite, or `seconds` or
+      `map_error` is not for this planner.
   """
   import torch  # Late: reading a plan's file needs no torch.
 
@@ -85,6 +93,8 @@ def solve(
     planner = solver_lib.PLANNERS[planner]
   _check_replanning(replan_every)
   solver_lib.check_seconds(seconds, planner or beam_search.BeamConfig())
+  if map_error and isinstance(planner, steering.SteeringConfig):
+    raise ValueError('A selector has no map, and no map_error: scan_errors.')
   terrain = track.make(arena, sizes=sizes).generate(np.random.RandomState(seed))
   problem = problem or reaching.problem(arena, terrain, seed)
   pushes_lib.by_knot(pushes, problem.knots, problem.knot_duration)
@@ -102,7 +112,7 @@ def solve(
   try:
     if isinstance(planner, steering.SteeringConfig):
       course = plan_lib.Course(arena, dict(sizes or {}), seed, tuple(pushes))
-      found = _steer(policy, course, problem, planner)
+      found = _steer(policy, course, problem, planner, disturbed)
       return dataclasses.replace(found, origin={**found.origin, **origin})
     selector = None
     if isinstance(planner, guided_search.GuidedConfig):
@@ -116,9 +126,10 @@ def solve(
       sizes,
       seconds,
       selector=selector,
+      map_error=map_error,
     )
     with _progress(planner, quiet) as report:
-      found = follow(solver, pushes, replan_every, report)
+      found = follow(solver, pushes, replan_every, report, disturbed)
   finally:
     torch.set_num_threads(threads)
   return dataclasses.replace(found, origin=origin)
@@ -129,6 +140,7 @@ def _steer(
   course: plan_lib.Course,
   problem: reaching.ReachingConfig,
   config: steering.SteeringConfig,
+  disturbed: events_lib.TrainingEvents,
 ) -> plan_lib.PlanResult:
   """Returns what a selector commands across a track, as a plan."""
   selector = steering.load(config, policy)
@@ -140,6 +152,7 @@ def _steer(
     1,
     course.pushes,
     config.scan_errors,
+    disturbed,
   )
   began = time.perf_counter()
   steered = steering.steer(robot, selector)
@@ -189,6 +202,7 @@ def follow(
   pushes: Sequence[pushes_lib.Push] = (),
   every: int = 0,
   report: solver_lib.Report = lambda status: None,
+  disturbed: events_lib.TrainingEvents = events_lib.NONE,
 ) -> plan_lib.PlanResult:
   """Moves a robot to the goal; plans at the start and on the way.
 
@@ -197,16 +211,17 @@ def follow(
     pushes: on the robot, each right after the planning at its knot.
     every: knots between plannings; 0 for an open loop.
     report: progress of the searches.
+    disturbed: of the robot; see `solve`.
 
   Returns:
-    The commanded modes and their result, pushes included; the costs are those
-    of all plannings.
+    The commanded modes and their result, pushes and disturbances included; the
+    costs are those of all plannings.
 
   Raises:
     ValueError: `every` is negative, or a push is not at a knot.
   """
   _check_replanning(every)
-  robot = solver.make_robot(pushes)
+  robot = solver.make_robot(pushes, disturbed)
   every = every or robot.knots
   plan: np.ndarray | None = None
   executed: list[int] = []

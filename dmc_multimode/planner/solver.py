@@ -24,6 +24,7 @@ from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.planner import q_learning
 from dmc_multimode.planner import steering
+from dmc_multimode.suite.imitation import events as events_lib
 from dmc_multimode.suite.reaching import problem as reaching
 from dmc_multimode.utils import config as config_lib
 
@@ -145,6 +146,7 @@ class Solver:
     seconds: float | None = None,
     clock: Callable[[], float] = time.perf_counter,
     selector: 'selector_lib.Selector | None' = None,
+    map_error: float = 0.0,
   ):
     """Compiles the worlds.
 
@@ -158,6 +160,8 @@ class Solver:
       seconds: wall-clock budget of every `solve`; None for none.
       clock: returns the current wall-clock time, seconds.
       selector: that guides a guided search, whose knots are the selector's.
+      map_error: by which all edges are nearer where plans are searched and
+        tried than where robots are, metres.
 
     Raises:
       ValueError: a guided search has no selector, the track is unknown, the
@@ -168,6 +172,7 @@ class Solver:
     if isinstance(planner, guided_search.GuidedConfig) and selector is None:
       raise ValueError('A guided search needs a selector.')
     self._policy, self._selector = policy, selector
+    self._map_error = map_error
     self._planner, self._seconds, self._clock = planner, seconds, clock
     self._course = plan_lib.Course(arena, dict(sizes or {}), config.seed)
     if selector:
@@ -189,18 +194,27 @@ class Solver:
     return self._planner.doubling()
 
   def make_robot(
-    self, pushes: Sequence[pushes_lib.Push] = ()
+    self,
+    pushes: Sequence[pushes_lib.Push] = (),
+    disturbed: events_lib.TrainingEvents = events_lib.NONE,
   ) -> problem_lib.ReachingProblem:
     """Returns a single world at the start, for replays of plans.
 
     Args:
       pushes: on the robot.
+      disturbed: of this robot and its ground; plans are for the nominal one.
 
     Raises:
       ValueError: a push is not at a knot.
     """
     return problem_lib.ReachingProblem(
-      self._policy, self._make_arena(), self._config, 1, 1, pushes
+      self._policy,
+      self._make_arena(),
+      self._config,
+      1,
+      1,
+      pushes,
+      disturbed=disturbed,
     )
 
   def _make_arena(self) -> track_lib.Track:
@@ -232,7 +246,7 @@ class Solver:
       budget_lib.Budget(self._seconds, self._clock),
       self._control_steps(),
     )
-    self._alone.begin_at(robot)
+    self._alone.begin_at(robot, self._map_error)
     if budget.limited and not self._pace:
       with self._timing():
         self._alone.run_knot(np.array([self._alone.rest_mode]))
@@ -310,7 +324,7 @@ class Solver:
     """Runs one search from the robot's state."""
     with budget.pause():
       problem = self._problem(planner)
-    problem.begin_at(robot)
+    problem.begin_at(robot, self._map_error)
     began = (self._config.knots - problem.knots) * self._config.knot_duration
     name, total = _described(planner, problem.knots)
     tell = lambda *row: report(

@@ -1,7 +1,7 @@
 """Tests of dmc_multimode.planner.problem, with a policy that can walk."""
 
 import functools
-from typing import Any, Sequence
+from typing import Any, Mapping, Sequence
 
 import numpy as np
 import pytest
@@ -10,6 +10,7 @@ from dmc_multimode import pretrained
 from dmc_multimode.arenas import track
 from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.planner import pushes as pushes_lib
+from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.reaching import problem as reaching
 
 _IDLE, _WALK, _LEAP = range(3)
@@ -25,13 +26,21 @@ def _problem(
   num_worlds: int,
   arena: str = 'flat',
   pushes: Sequence[pushes_lib.Push] = (),
+  disturbed: events.TrainingEvents = events.NONE,
+  sizes: Mapping[str, float] | None = None,
   **changes: Any,
 ) -> problem_lib.ReachingProblem:
   config = reaching.ReachingConfig(
     **{'goal': (0.5, 0.0, 0.5), 'knots': 4, 'knot_duration': 0.3, **changes}
   )
   return problem_lib.ReachingProblem(
-    _policy(), track.make(arena), config, num_worlds, 1, pushes
+    _policy(),
+    track.make(arena, sizes=sizes),
+    config,
+    num_worlds,
+    1,
+    pushes,
+    disturbed=disturbed,
   )
 
 
@@ -126,6 +135,39 @@ def test_begin_at() -> None:
   )
   with pytest.raises(ValueError, match='worlds of the same task'):
     problem.begin_at(other)
+
+
+def test_who_begins_at_a_disturbed_robot_is_nominal() -> None:
+  plan = [_WALK] * 4
+  nominal = _problem(1)
+  alone = _run(nominal, plan)
+  for rows in ({'payload': 2.0}, {'friction': 0.3}, {'action_delay': 0.03}):
+    robot = _problem(1, disturbed=events.fixed(**rows))
+    nominal.begin_at(robot)  # The same start,
+    np.testing.assert_array_equal(_run(nominal, plan), alone)
+    moved = _run(robot, plan)  # and another way.
+    assert np.abs(moved - alone).max() > 1e-3, rows
+    nominal.begin_at(robot)
+    np.testing.assert_array_equal(
+      nominal._worlds.qpos[0], robot._worlds.qpos[0]
+    )
+
+
+def test_a_wrong_map() -> None:
+  """Whoever has it meets the edges where they are on it."""
+  robot, problem = _problem(1, 'block', knots=6), _problem(2, 'block', knots=6)
+  there = _problem(2, 'block', sizes={'distance': 0.65}, knots=6)
+  plans = np.full((2, 6), _WALK)
+  exact = problem.rollout(plans).paths
+  for _ in range(2):  # Beginning again is not twice as wrong.
+    problem.begin_at(robot, 0.15)
+    # The block is 0.8 m ahead, and 0.4 m high.
+    np.testing.assert_allclose(problem.terrain.starts[:, 1], 0.65)
+    np.testing.assert_allclose(problem.terrain.tops[:, 1], 0.4)
+  met = problem.rollout(plans).paths
+  np.testing.assert_allclose(met, there.rollout(plans).paths, atol=5e-3)
+  assert exact[0, :, 0].max() > met[0, :, 0].max() + 0.05
+  np.testing.assert_allclose(robot.terrain.starts[:, 1], 0.8)
 
 
 def test_pushes() -> None:

@@ -16,6 +16,20 @@ _SOME = (
 )
 
 
+def test_draw() -> None:
+  # 3.3 s: at 0.9, 1.8 and 2.7, of knots of 0.3 s those closest to a second.
+  drawn = pushes.draw(0.5, 11, 0.3, seed=1)
+  assert [push.time for push in drawn] == pytest.approx([0.9, 1.8, 2.7])
+  for push in drawn:
+    assert math.hypot(*push.velocity) == pytest.approx(0.5)
+    assert push.velocity[2] == 0
+  assert len({push.velocity for push in drawn}) == 3
+  assert drawn == pushes.draw(0.5, 11, 0.3, seed=1)
+  assert drawn != pushes.draw(0.5, 11, 0.3, seed=2)
+  assert pushes.draw(0.0, 11, 0.3, seed=1) == ()
+  pushes.by_knot(drawn, 11, 0.3)
+
+
 def test_parse() -> None:
   assert pushes.parse('0.6:-0.5') == pushes.Push(0.6, (-0.5, 0.0, 0.0))
   assert pushes.parse('1:0.5:2') == pushes.Push(1.0, (0.5, 2.0, 0.0))

@@ -14,6 +14,7 @@ from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.planner import q_learning
 from dmc_multimode.planner import replanning
 from dmc_multimode.planner import solver as solver_lib
+from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.reaching import problem as reaching
 from tests.planner import replay
 
@@ -59,12 +60,33 @@ def test_solve_by_names() -> None:
       "Unknown planner 'luck'; there are beam, guided, q_learning",
     ),
     ({'replan_every': -1}, 'replan_every must not be negative'),
+    ({'planner': 'selector', 'map_error': 0.1}, 'A selector has no map'),
     ({'pushes': [pushes_lib.Push(0.1, (1.0, 0.0, 0.0))]}, 'not at a knot'),
   ],
 )
 def test_solve_rejects(arguments: dict[str, Any], message: str) -> None:
   with pytest.raises(ValueError, match=message):
     planner.solve('nobody', **arguments)
+
+
+def test_solve_plans_for_another_robot_on_another_map() -> None:
+  """The plan is the same for any robot, and its outcome is not."""
+  small = beam_search.BeamConfig(2, attempts=1)
+
+  def solve(arena: str, **lies: Any) -> plan_lib.PlanResult:
+    return planner.solve(
+      *('quickstart', arena, 3, _SHORT, None, small),
+      num_threads=1,
+      quiet=True,
+      **lies,
+    )
+
+  nominal = solve('flat')
+  loaded = solve('flat', disturbed=events.fixed(payload=3.0))
+  assert loaded.plan == nominal.plan
+  assert np.abs(loaded.path - nominal.path).max() > 0.01
+  # On the map the block is in the way; in truth it is behind the goal.
+  assert solve('block', map_error=0.6).plan != solve('block').plan
 
 
 @pytest.mark.slow

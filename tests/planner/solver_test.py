@@ -160,6 +160,17 @@ def test_more_beams_find_what_fewer_do_not(
   assert asked[:3] == asked[3:]
 
 
+def test_every_search_has_the_map(policy: pretrained.Policy) -> None:
+  config = reaching.ReachingConfig((0.4, 0.0, 0.5), 2, 0.3)
+  solver = solver_lib.Solver(
+    policy, 'block', config, beam_search.BeamConfig(1, 1), 1, map_error=0.05
+  )
+  solver.solve()
+  for problem in (solver._alone, *solver._problems.values()):
+    np.testing.assert_allclose(problem.terrain.starts[:, 1], 0.75)
+  np.testing.assert_allclose(solver.make_robot().terrain.starts[:, 1], 0.8)
+
+
 def test_from_where_a_robot_is(policy: pretrained.Policy) -> None:
   """The plan is of the knots that are left, and a good guess is kept."""
   solver = solver_lib.Solver(

@@ -4,6 +4,7 @@ import pytest
 
 import dmc_multimode as dmm
 from dmc_multimode.planner import steering
+from dmc_multimode.suite.imitation import events
 
 
 def test_the_shipped_selector_runs_a_track_that_it_has_never_seen() -> None:
@@ -11,6 +12,11 @@ def test_the_shipped_selector_runs_a_track_that_it_has_never_seen() -> None:
   assert found.success
   assert {'launch', 'leap_forward'} < set(found.plan.modes)
   assert found.origin['decision_ms'] > 0
+  ice = events.fixed(friction=0.1)
+  found = dmm.plan(
+    'pi2', 'parkour', seed=0, planner='selector', quiet=True, disturbed=ice
+  )
+  assert not found.success
 
 
 def test_policies_without_a_selector() -> None:

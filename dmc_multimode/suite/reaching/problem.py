@@ -18,6 +18,7 @@ import numpy as np
 from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.suite.imitation import config as imitation_config
+from dmc_multimode.suite.imitation import events as events_lib
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import constants
@@ -117,8 +118,6 @@ def problem(
 ) -> ReachingConfig:
   """Returns the paper's problem of a track, or else that of crossing it.
 
-  The goal of crossing it is on the ground behind the last edge.
-
   Args:
     track: its name.
     terrain: a batch of one, as the track drew it.
@@ -130,6 +129,18 @@ def problem(
     return dataclasses.replace(
       PROBLEMS[track].config(seed), goal=(x, y, top + constants.STAND_HEIGHT)
     )
+  return crossing(terrain, seed)
+
+
+def crossing(terrain: terrain_lib.Terrain, seed: int = 0) -> ReachingConfig:
+  """Returns the problem of crossing a track.
+
+  The goal is on the ground behind the last edge, in time for 0.3 m/s.
+
+  Args:
+    terrain: a batch of one, as the track drew it.
+    seed: of the draw of the terrain.
+  """
   last = np.flatnonzero(np.isfinite(terrain.starts[0]))[-1]
   if not last:  # Level ground has no edge to cross.
     return ReachingConfig(seed=seed)
@@ -192,9 +203,16 @@ def in_knots(config: ReachingConfig, knot_duration: float) -> ReachingConfig:
 
 
 def task_config(
-  policy: Policy, reaching: ReachingConfig
+  policy: Policy,
+  reaching: ReachingConfig,
+  disturbed: events_lib.TrainingEvents = events_lib.NONE,
 ) -> imitation_config.ImitationConfig:
   """Returns the task with tracking limits off: only falls terminate.
+
+  Args:
+    policy: of the robot.
+    reaching: goal and knots.
+    disturbed: see `events.fixed`.
 
   Raises:
     ValueError: the robot is another than the mini biped, for which tracks,
@@ -208,6 +226,7 @@ def task_config(
   duration = reaching.knots * reaching.knot_duration
   return imitation_config.evaluated(
     task,
+    events=disturbed,
     limits=terminations.falls_alone(task.limits),
     time_limit=max(duration, task.control_timestep),
   )

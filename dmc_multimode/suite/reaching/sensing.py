@@ -21,11 +21,20 @@ class ScanErrors:
     shift: half-width of the uniform error of all edges' places, metres, drawn
       for each episode.
     dropouts: share of the heights that are missed, and read as level ground.
+    nearer: by which all edges seem nearer than they are, metres, besides the
+      error that is drawn.
   """
 
   noise: config_lib.NonNegative = 0.0
   shift: config_lib.NonNegative = 0.0
   dropouts: config_lib.Share = 0.0
+  nearer: float = 0.0
+
+  def draw_shift(
+    self, count: int, random_state: np.random.RandomState
+  ) -> np.ndarray:
+    """Returns by how much edges seem nearer in episodes, metres, [N]."""
+    return self.nearer + random_state.uniform(-self.shift, self.shift, count)
 
 
 EXACT = ScanErrors()
@@ -37,7 +46,7 @@ class Situation(NamedTuple):
   Attributes:
     goal: of the trunk, world metres, [B, 3] or [3].
     knots_left: share of the episode's knots that are left, [B].
-    shift: error of the places of edges, metres, [B].
+    shift: by which edges seem nearer than they are, metres, [B].
   """
 
   goal: np.ndarray

@@ -100,8 +100,8 @@ class ReachingWorlds:
     arena = track_lib.make(track, sizes=sizes)
     drawn = arena.generate(np.random.RandomState(seed))
     first = self._problem(drawn)
-    config = reaching.task_config(policy, first)
-    config = dataclasses.replace(config, time_limit=math.inf, events=disturbed)
+    config = reaching.task_config(policy, first, disturbed)
+    config = dataclasses.replace(config, time_limit=math.inf)
     if physics_timestep is not None:
       config = dataclasses.replace(config, physics_timestep=physics_timestep)
     self._worlds = batched_env.BatchedImitation(
@@ -186,8 +186,9 @@ class ReachingWorlds:
       config = self._problem(self.terrain.rows(np.array([i])))
       self.goal[i], self._knots[i] = config.goal, config.knots
     self._knot[ids], self._over[ids] = 0, False
-    shift = self._scan_errors.shift
-    self._shift[ids] = self._random_state.uniform(-shift, shift, len(ids))
+    self._shift[ids] = self._scan_errors.draw_shift(
+      len(ids), self._random_state
+    )
     return self._observe()
 
   def step(self, modes: npt.ArrayLike) -> ReachingStep:

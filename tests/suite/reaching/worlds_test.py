@@ -124,6 +124,10 @@ def test_errors_of_the_scan() -> None:
   # Edges, of which there are few, alone are elsewhere.
   moved = (ground(sensing.ScanErrors(shift=0.05)) != exact).mean()
   assert 0 < moved < 0.1
+  # Heights are read every 5 cm: each is what was one place farther.
+  nearer = ground(sensing.ScanErrors(nearer=0.05))
+  np.testing.assert_array_equal(nearer[:, :-1], exact[:, 1:])
+  assert (nearer != exact).any()
 
 
 @pytest.mark.parametrize('modes', [[0], [0, 7], [0.5, 0], 'ab'])
