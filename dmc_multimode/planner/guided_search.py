@@ -41,7 +41,7 @@ class GuidedConfig:
 
   @property
   def steering(self) -> steering.SteeringConfig:
-    """Where the selector is."""
+    """Configuration that names the folder of the selector."""
     return steering.SteeringConfig(self.folder)
 
   def escalation(self) -> 'list[GuidedConfig | beam_search.BeamConfig]':
