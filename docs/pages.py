@@ -21,10 +21,8 @@ from mkdocs.structure import files as files_lib
 _ROOT = pathlib.Path(__file__).parents[1]
 _PACKAGE = 'dmc_multimode'
 _OUTSIDE = re.compile(r'\[([^\]]*)\]\(\.\./[^)]*\)')  # A link out of `docs`.
-# A link from the root to what is no page: CITATION.cff.
-_NO_PAGE = re.compile(
-  r'\[([^\]]*)\]\((?!docs/|https?:|#|CONTRIBUTING\.md|CHANGELOG\.md)[^)]*\)'
-)
+# A link from the root to what lies beside `docs`: CITATION.cff.
+_BESIDE = re.compile(r'\]\((?!docs/|https?:|#|CONTRIBUTING\.md|CHANGELOG\.md)')
 # Links out of `docs` to what the site has as pages.
 _EXAMPLE = re.compile(r'\]\(\.\./examples/(\w+)\.py\)')
 _PAGES = {
@@ -98,13 +96,8 @@ def on_page_markdown(markdown: str, **kwargs: Any) -> str:
 
 def _read(name: str) -> str:
   """Returns a page that lies beside `docs`, its links as seen from inside."""
-  text = (
-    (_ROOT / name).read_text().replace('](examples)', '](docs/EXAMPLES.md)')
-  )
-  text = _NO_PAGE.sub(r'\1', text)
-  return text.replace('](docs/tour.ipynb)', '](tour.md)').replace(
-    '](docs/', ']('
-  )
+  text = _BESIDE.sub('](../', (_ROOT / name).read_text())
+  return text.replace('](docs/', '](')
 
 
 def _examples() -> str:
@@ -158,7 +151,7 @@ def _tour(notebook: Mapping[str, Any]) -> tuple[str, dict[str, bytes]]:
       folded = '\n\n'.join(body).replace('\n', '\n    ')
       body = [f'??? note "Solution"\n\n    {folded}']
     parts += body
-  note = 'As a notebook: `docs/tour.ipynb` of the repository.'
+  note = 'As a notebook: <a href="tour.ipynb" download>tour.ipynb</a>.'
   return '\n\n'.join([parts[0], note, *parts[1:]]), pictures
 
 
