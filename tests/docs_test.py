@@ -25,7 +25,7 @@ _CHAPTERS = ('Keyframes', 'Latents', 'Training', 'Evaluation', 'Planning')
 _MAX_BYTES = 600_000  # Of the notebook, with its outputs.
 # What a short run replaces.
 _TINY = {
-  'STEPS = 800_000': 'STEPS = 1024',
+  'STEPS = 800_000': 'STEPS = 4096',
   'EPISODES = 2': 'EPISODES = 1',
   'num_worlds=512': 'num_worlds=32',
 }
