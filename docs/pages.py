@@ -1,8 +1,9 @@
 """Pages of the site that are written elsewhere: a hook of MkDocs.
 
 README.md, CONTRIBUTING.md and CHANGELOG.md lie outside of `docs`; the tour is a
-notebook; the examples are programs; and the reference comes from docstrings,
-one page a package, of what the package exports.
+notebook; the examples are programs; the cards of the shipped policies lie
+beside their weights; and the reference comes from docstrings, one page a
+package, of what the package exports.
 """
 
 # Of the extra `docs`: not always there to be checked against.
@@ -20,11 +21,15 @@ from mkdocs.structure import files as files_lib
 _ROOT = pathlib.Path(__file__).parents[1]
 _PACKAGE = 'dmc_multimode'
 _OUTSIDE = re.compile(r'\[([^\]]*)\]\(\.\./[^)]*\)')  # A link out of `docs`.
-# A link from the root to what is no page: CITATION.cff.
-_NO_PAGE = re.compile(
-  r'\[([^\]]*)\]\((?!docs/|https?:|#|CONTRIBUTING\.md|CHANGELOG\.md)[^)]*\)'
-)
-_EXAMPLES_LINK = '](../examples)', '](EXAMPLES.md)'
+# A link from the root to what lies beside `docs`: CITATION.cff.
+_BESIDE = re.compile(r'\]\((?!docs/|https?:|#|CONTRIBUTING\.md|CHANGELOG\.md)')
+# Links out of `docs` to what the site has as pages.
+_EXAMPLE = re.compile(r'\]\(\.\./examples/(\w+)\.py\)')
+_PAGES = {
+  '](../examples)': '](EXAMPLES.md)',
+  '](../dmc_multimode/pretrained)': '](POLICIES.md)',
+  '](tour.ipynb)': '](tour.md)',
+}
 # Page of the reference -> its packages; what is not here is no public surface.
 REFERENCE: Mapping[str, tuple[str, ...]] = {
   'package': ('',),
@@ -69,6 +74,7 @@ def on_files(files: Any, config: Any) -> Any:
     'CHANGELOG.md': _read('CHANGELOG.md'),
     'tour.md': tour,
     'EXAMPLES.md': _examples(),
+    **_cards(),
     **{f'api/{name}.md': page for name, page in _reference().items()},
     **pictures,
   }
@@ -80,33 +86,55 @@ def on_files(files: Any, config: Any) -> Any:
 def on_page_markdown(markdown: str, **kwargs: Any) -> str:
   """Makes links to files that the site does not have plain text."""
   del kwargs
-  markdown = markdown.replace('](tour.ipynb)', '](tour.md)')
-  return _OUTSIDE.sub(r'\1', markdown.replace(*_EXAMPLES_LINK))
+  for link, page in _PAGES.items():
+    markdown = markdown.replace(link, page)
+  markdown = _EXAMPLE.sub(
+    lambda link: f'](EXAMPLES.md#{link[1].replace("_", "-")})', markdown
+  )
+  return _OUTSIDE.sub(r'\1', markdown)
 
 
 def _read(name: str) -> str:
   """Returns a page that lies beside `docs`, its links as seen from inside."""
-  text = (
-    (_ROOT / name).read_text().replace('](examples)', '](docs/EXAMPLES.md)')
-  )
-  text = _NO_PAGE.sub(r'\1', text)
-  return text.replace('](docs/tour.ipynb)', '](tour.md)').replace(
-    '](docs/', ']('
-  )
+  text = _BESIDE.sub('](../', (_ROOT / name).read_text())
+  return text.replace('](docs/', '](')
 
 
 def _examples() -> str:
   """Returns the page of the examples: what each is for, and its code."""
   parts = [
-    '# Examples\n\nEach is a program of `examples/` in the repository, and '
-    'runs as it is.\n'
+    '# Examples\n\nEach is a program of `examples/` in the repository. They '
+    'are not in the wheel: copy one from here, and `python NAME.py` runs it.\n'
   ]
   for path in sorted((_ROOT / 'examples').glob('*.py')):
     code = path.read_text()
     title = path.stem.replace('_', ' ').capitalize()
     about = (ast.get_docstring(ast.parse(code)) or '').partition('\n')[0]
-    parts.append(f'## {title}\n\n{about}\n\n```python\n{code}```\n')
+    parts.append(
+      f'## {title}\n\n`{path.name}`: {about}\n\n```python\n{code}```\n'
+    )
   return '\n'.join(parts)
+
+
+def _cards() -> dict[str, str]:
+  """Returns the cards of the shipped policies, and the page that lists them."""
+  cards, rows = {}, []
+  for path in sorted((_ROOT / _PACKAGE / 'pretrained').glob('*/README.md')):
+    name = path.parent.name
+    metrics = json.loads(path.with_name('metrics.json').read_text())
+    cards[f'policies/{name}.md'] = path.read_text()
+    cells = [
+      f'[{name}](policies/{name}.md)',
+      ', '.join(metrics['modes']),
+      *(f'{metrics[k]["mean"]:.3f}' for k in ('mra_modes', 'mra_transitions')),
+    ]
+    rows.append(f'| {" | ".join(cells)} |')
+  head = (
+    '# Shipped policies\n\nEach has a card with scores, training and limits. '
+    'MRA is the mean normalised return, 1 for perfect tracking.\n\n'
+    '| policy | modes | MRA modes | MRA transitions |\n|---|---|---|---|'
+  )
+  return {'POLICIES.md': '\n'.join([head, *rows, '']), **cards}
 
 
 def _tour(notebook: Mapping[str, Any]) -> tuple[str, dict[str, bytes]]:
@@ -123,7 +151,7 @@ def _tour(notebook: Mapping[str, Any]) -> tuple[str, dict[str, bytes]]:
       folded = '\n\n'.join(body).replace('\n', '\n    ')
       body = [f'??? note "Solution"\n\n    {folded}']
     parts += body
-  note = 'As a notebook: `docs/tour.ipynb` of the repository.'
+  note = 'As a notebook: <a href="tour.ipynb" download>tour.ipynb</a>.'
   return '\n\n'.join([parts[0], note, *parts[1:]]), pictures
 
 
