@@ -228,7 +228,6 @@ class ProgressLogger:
     ('lr', 'learning_rate', '{:.1e}'),
     ('std', 'std', '{:.3f}'),
   )
-
   # Where time runs out first, the time that the steps would take misleads.
   _TIMED = '{n_fmt} of at most {total_fmt} steps [{elapsed}{postfix}]'
 
@@ -257,9 +256,8 @@ class ProgressLogger:
       mininterval=2.0,
       dynamic_ncols=True,
       bar_format=self._TIMED if math.isfinite(minutes) else None,
+      postfix=self._left(),
     )
-    if math.isfinite(minutes):
-      self._bar.set_postfix(self._left())
 
   def _left(self) -> dict[str, str]:
     """Returns the minutes that are left, if they are limited."""

@@ -66,7 +66,8 @@ class Controller:
   def _yaw(self) -> float:
     """Returns the yaw of the keyframes at the phase, radians."""
     phases, frames = self._keys('phase'), self._keys('orientation')
-    last = min(phases.searchsorted(self.phase, 'right'), len(phases) - 1) - 1
+    passed = int(np.searchsorted(phases, self.phase, 'right'))
+    last = min(passed, len(phases) - 1) - 1
     before, after = frames[last], frames[last + 1]
     after = after if before @ after >= 0 else -after
     share = (self.phase - phases[last]) / (phases[last + 1] - phases[last])
@@ -117,7 +118,7 @@ class Controller:
     """
     sizes = {part['name']: part['size'] for part in self.about['observation']}
     if 'ground_scan' in sizes:
-      if np.shape(scan) != (sizes['ground_scan'],):
+      if scan is None or np.shape(scan) != (sizes['ground_scan'],):
         raise ValueError(
           'This policy observes the ground: give act(..., scan=...) the '
           f'{sizes["ground_scan"]} heights of ground_scan.'

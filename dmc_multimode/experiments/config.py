@@ -99,13 +99,27 @@ def overridden(
         new[name] = overridden(value, inner, f'{prefix}{name}_')
   if rest:
     unknown = f'{prefix}{next(iter(rest))}'
-    near = difflib.get_close_matches(unknown, _names(config, prefix), 3, 0.45)
+    near = _nearest(unknown, _names(config, prefix))
     hint = f'; do you mean {" or ".join(near)}?' if near else ''
     raise ValueError(f'{unknown} is no setting of a run{hint}')
   try:
     return dataclasses.replace(config, **new)
   except ValueError as error:
     raise ValueError(f'{prefix}{error}') from error
+
+
+def _nearest(unknown: str, names: list[str]) -> list[str]:
+  """Returns up to three names that are like an unknown one, the likest first.
+
+  Or like it when all words but the first are initials: `ppo_lr`.
+  """
+  spellings = {name: name for name in names}
+  for name in names:
+    first, *words = name.split('_')
+    initials = ''.join(word[0] for word in words)
+    spellings.setdefault(f'{first}_{initials}', name)
+  near = difflib.get_close_matches(unknown, spellings, 3, 0.7)
+  return list(dict.fromkeys(spellings[spelling] for spelling in near))
 
 
 def _names(config: Any, prefix: str) -> list[str]:

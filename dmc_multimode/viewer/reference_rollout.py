@@ -82,6 +82,11 @@ class Carried(rollout.Robot):
 
 
 class ReferenceRollout(rollout.Rollout):
-  """Roll-out of a schedule of references; the policy is a `Reference`."""
+  """Roll-out of a schedule of references; `start`, then `steps`, once."""
 
   _robot_type = Carried
+
+  def __init__(self, reference: Reference, config: rollout.RolloutConfig):
+    """Builds the environment; see `Rollout`."""
+    policy: Any = reference  # Of which the modes and the task are all it takes.
+    super().__init__(policy, config)

@@ -317,6 +317,7 @@ def test_a_film_of_a_mode_file_without_a_policy(
     record(schedule='idle:1')
   with pytest.raises(ValueError, match='no plan'):
     record(plan='plan.json')
-  for wrong in ({}, {'policy': 'pi2', 'reference': bow}):
+  neither: dict[str, Any] = {}
+  for wrong in (neither, {'policy': 'pi2', 'reference': bow}):
     with pytest.raises(ValueError, match='a policy or a reference'):
       viewer.record(schedule='idle:1', **wrong)
