@@ -3,8 +3,8 @@
     import dmc_multimode as dmm
 
     env = dmm.load('walk_forward')
-    worlds = dmm.make_worlds('pi2', num_worlds=512, seed=0)
     policy = dmm.load_policy('pi2')
+    worlds = dmm.make_worlds(policy, num_worlds=512, seed=0)
     mine = dmm.train('runs/mine', modes='pi2', steps=10_000_000)
     report = dmm.evaluate(policy, seed=0)
     result = dmm.plan(policy, arena='gap', seed=0)
@@ -112,7 +112,11 @@ def load(task: str, **task_kwargs: Any) -> 'dm_env.Environment':
   and `events` of `dmc_multimode.suite.imitation`.
 
   Args:
-    task: name of a mode, a set of modes, or `reach_` and a track.
+    task: name of a mode, a set of modes, or `reach_` and a track. A name
+      such as 'pi2' is that of the set of modes, with the default task; the
+      shipped policy of this name has modes and a task of its own, which
+      `suite.multimode_biped.make_task(policy.mode_set, config=policy.config)`
+      makes and `make_environment` there wraps.
     **task_kwargs: for the task's factory: `random`, a seed; `time_limit`,
       seconds; `environment_kwargs`; `config`, `arena` and `robot`, a declared
       robot or its file, of modes and sets;
@@ -211,14 +215,19 @@ def make_worlds(
 
   Args:
     modes: names, as `dmc_multimode.modes.library.mode_set` takes them: one mode
-      is commanded throughout; of several, Algorithm 1 chooses. Or a `ModeSet`,
-      or a policy or its folder, for its modes. Or the name of a task `reach_*`,
-      whose actions are modes; see `ReachingWorlds`.
+      is commanded throughout; of several, Algorithm 1 chooses. Or a `ModeSet`.
+      Or a policy, or its folder as an `os.PathLike`: its modes and its task.
+      Or the name of a task `reach_*`, whose actions are modes; see
+      `ReachingWorlds`. A name such as 'pi2' is that of a mode set, with the
+      default task, whose observations are others than those of the shipped
+      policy of this name: for that, pass `load_policy('pi2')`.
     num_worlds: B.
     seed: of all randomness.
     config: of the task; that of a policy is by default the one with which it is
       evaluated.
-    arena: a track or the name of one.
+    arena: a track or the name of one: flat, gap, plateau, block, block_down,
+      gap_block, stairs, stepping_stones, slope, rough, parkour,
+      obstacle_course or gaps_and_blocks.
     num_threads: of the physics; 0 takes every core.
     auto_reset: resets a world in the step that ends its episode.
     privileged: appends the privileged critic observations.

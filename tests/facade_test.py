@@ -2,9 +2,11 @@
 
 import dataclasses
 import importlib
+import inspect
 import json
 import pathlib
 import pkgutil
+import re
 import subprocess
 import sys
 from typing import Any, get_args
@@ -14,12 +16,19 @@ import pytest
 
 import dmc_multimode as dmm
 from dmc_multimode import suite
+from dmc_multimode.arenas import layouts
 from dmc_multimode.arenas import track
+from dmc_multimode.evaluation import acceptance
+from dmc_multimode.evaluation import gait_metrics
+from dmc_multimode.evaluation import motion_metrics
 from dmc_multimode.modes import library
+from dmc_multimode.planner import solver
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite import reaching
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes as episodes_lib
+from dmc_multimode.utils import constants
+from dmc_multimode.viewer import camera
 from tests.bin import untrained
 
 _PACKAGES = [
@@ -203,7 +212,7 @@ def test_train_takes_motions_of_ones_own(tmp_path: pathlib.Path) -> None:
   )
   assert policy.mode_set.names == ('idle', 'slow_walk')
   assert policy.mode_set.motions[1].duration == 2 * walk.duration
-  with pytest.raises(ValueError, match='already holds a run'):
+  with pytest.raises(ValueError, match='already holds a run.* resume=True'):
     dmm.train(tmp_path, modes=policy.mode_set, steps=8)
 
 
@@ -219,3 +228,37 @@ def test_what_lies_before_a_policy() -> None:
   assert max(encoder.rmse().values()) < 0.02
   with pytest.raises(ValueError, match='fly'):
     dmm.train_encoder('fly')
+
+
+def test_docstrings_name_the_values_that_there_are() -> None:
+  """Constants of modules are not in the API's pages."""
+  tracks, cameras = set(layouts.NAMES), set(camera.VIEWS)
+  for thing, values in (
+    (dmm.plan, tracks | set(solver.PLANNERS)),
+    (dmm.record, tracks),
+    (dmm.make_worlds, tracks),
+    (track.make, tracks),
+    (dmm.RecordingConfig, cameras),
+    (dmm.train, {f'{constants.TRAINING_STEPS:,}'}),
+    (dmm.draw_plan, {'savefig'}),
+  ):
+    words = set(re.findall(r'[\w,]*\w', inspect.getdoc(thing) or ''))
+    assert not values - words, thing
+
+
+def test_every_value_of_a_report_is_defined() -> None:
+  still = np.zeros((40, 3))
+  upright = gait_metrics.Trace(
+    *(still, still, still[:, 0], still[:, 0], still[:, :2]),
+    *(still[:, :2], still[:, :2], 0.03, 0.6),
+  )
+  names = {*gait_metrics.metrics(upright), 'mra', 'survival'}
+  names |= {metric.name for metric in motion_metrics.TABLE}
+  everything = {**library.modes(), **library.four_footed_modes()}
+  for motion in everything.values():
+    names |= {criterion.metric for criterion in acceptance.criteria(motion)}
+  names |= {name for name, *_ in acceptance._LEANS}
+  text = inspect.getdoc(dmm.evaluate) or ''
+  defined = re.findall(r'^ +([\w, ]+): ', text, re.M)
+  known = {name for row in defined for name in row.split(', ')}
+  assert not names - known

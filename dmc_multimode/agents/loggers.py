@@ -3,10 +3,12 @@
 import contextlib
 import csv
 import io
+import math
 import pathlib
 import secrets
 import threading
-from typing import Any, Iterator, Mapping, Protocol, Sequence
+import time
+from typing import Any, Callable, Iterator, Mapping, Protocol, Sequence
 
 import tqdm
 
@@ -226,9 +228,26 @@ class ProgressLogger:
     ('lr', 'learning_rate', '{:.1e}'),
     ('std', 'std', '{:.3f}'),
   )
+  # Where time runs out first, the time that the steps would take misleads.
+  _TIMED = '{n_fmt} of at most {total_fmt} steps [{elapsed}{postfix}]'
 
-  def __init__(self, total_steps: int, first_step: int = 0):
-    """Shows progress from `first_step` to `total_steps`."""
+  def __init__(
+    self,
+    total_steps: int,
+    first_step: int = 0,
+    minutes: float = math.inf,
+    clock: Callable[[], float] = time.monotonic,
+  ):
+    """Shows progress from `first_step` to `total_steps`.
+
+    Args:
+      total_steps: at the end.
+      first_step: at the beginning.
+      minutes: wall-clock limit from now on; with one, what is left of it is
+        shown.
+      clock: returns seconds.
+    """
+    self._clock, self._end = clock, clock() + 60 * minutes
     self._bar = tqdm.tqdm(
       total=total_steps,
       initial=first_step,
@@ -236,11 +255,18 @@ class ProgressLogger:
       unit_scale=True,
       mininterval=2.0,
       dynamic_ncols=True,
+      bar_format=self._TIMED if math.isfinite(minutes) else None,
+      postfix=self._left(),
     )
+
+  def _left(self) -> dict[str, str]:
+    """Returns the minutes that are left, if they are limited."""
+    left = max(self._end - self._clock(), 0.0) / 60
+    return {'minutes left': f'{left:.1f}'} if math.isfinite(left) else {}
 
   def write(self, values: Values) -> None:
     """See `Logger`."""
-    shown = {
+    shown = self._left() | {
       name: form.format(values[key])
       for name, key, form in self._SHOWN
       if key in values

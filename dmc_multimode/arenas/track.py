@@ -337,7 +337,9 @@ def make(
   Only 'flat' is adaptive; the other tracks stay as drawn.
 
   Args:
-    name: one of `layouts.NAMES`.
+    name: flat, gap, plateau, block, block_down, gap_block, stairs,
+      stepping_stones, slope, rough, parkour, obstacle_course, gaps_and_blocks,
+      or one that was registered; or several, joined by +.
     num_segments: size of the pool of boxes; by default as many as the layout
       can have pieces, and at least 6.
     sizes: of the layout; see its function in `layouts`.

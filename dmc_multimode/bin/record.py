@@ -6,6 +6,11 @@ r"""Records a video of a policy that follows a mode schedule.
   python -m dmc_multimode.bin.record --policy=pi2 --plan=plan.json \
     --out=video.mp4
 
+  python -m dmc_multimode.bin.record --reference=bow.yaml --schedule=bow:4 \
+    --out=bow.mp4
+
+shows the keyframes of modes, before there is a policy: the trunk as a box.
+
 A file with the suffix .gif is a repeating GIF with fewer frames a second. The
 translucent box is the reference. After a fall the video continues, with the
 cause in the frame, unless --terminate is given.
@@ -22,6 +27,11 @@ from dmc_multimode.bin import flags as config_flags
 
 _POLICY = config_flags.define_path(
   'policy', None, 'Name of a shipped policy, or folder of a policy or a run.'
+)
+_REFERENCE = config_flags.define_path(
+  'reference',
+  None,
+  'Instead of a policy a mode file, or names of modes: keyframes alone.',
 )
 _SCHEDULE = flags.DEFINE_string(
   'schedule', 'walk_forward:2,leap_forward:3', 'MODE:SECONDS,MODE:SECONDS,...'
@@ -61,14 +71,15 @@ _SLOW_MOTION = flags.DEFINE_float('slow_motion', 1.0, 'Times slower than life.')
 def main(argv: Sequence[str]) -> None:
   """Records the video; prints the outcomes. `argv` holds no flags."""
   del argv
-  if not _POLICY.value:
+  if not _POLICY.value and not _REFERENCE.value:
     raise ValueError('Say which policy to record: --policy=NAME_OR_FOLDER.')
+  unsaid = _REFERENCE.value and not flags.FLAGS['schedule'].present
   for name in ('schedule', 'arena', 'seed', 'clock_rate'):
     if _PLAN.value and flags.FLAGS[name].present:
       raise ValueError(f'--plan says what --{name} would: give one of them.')
   recording = viewer.record(
     _POLICY.value,
-    None if _PLAN.value else _SCHEDULE.value,
+    None if _PLAN.value or unsaid else _SCHEDULE.value,
     _PLAN.value,
     _OUT.value or '',
     _ARENA.value,
@@ -85,6 +96,7 @@ def main(argv: Sequence[str]) -> None:
     terminate=_TERMINATE.value,
     compare=_COMPARE.value,
     robot=_ROBOT.value or None,
+    reference=_REFERENCE.value,
   )
   for outcome in recording.outcomes:
     print(outcome)

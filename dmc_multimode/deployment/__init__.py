@@ -6,12 +6,16 @@ deployment.write_mjcf('out', arena='gap_block')
 
 from typing import Any, TYPE_CHECKING
 
+from dmc_multimode.utils import gl
 from dmc_multimode.utils import lazy
 
 if TYPE_CHECKING:
   from dmc_multimode.deployment.description import describe as describe
   from dmc_multimode.deployment.mjcf_export import write as write_mjcf
   from dmc_multimode.deployment.onnx_export import write as write_onnx
+
+# Before modules of it import dm_control, which looks for a display.
+gl.choose_late_without_display()
 
 _HOMES = {
   'describe': 'description',

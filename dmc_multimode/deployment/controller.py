@@ -1,8 +1,7 @@
 """Controller of an exported policy; `export` writes this file beside the model.
 
 It knows numpy, onnxruntime and the exported JSON, and nothing of dmc_multimode,
-so that it may be copied to a robot. Modes that turn would also need the
-heading, which is 0 here, and policies that scan the ground a scan.
+so that it may be copied to a robot.
 """
 
 import json
@@ -21,14 +20,20 @@ class Controller:
     modes: the modes in it, by name.
     mode: the one that runs.
     phase: of its clock, in [0, 1].
+    heading: the commanded one, radians; modes that turn change it.
   """
 
   def __init__(self, path: str | os.PathLike[str]):
-    """Loads the .onnx file and the .json beside it; idle runs."""
+    """Loads the .onnx file and the .json beside it.
+
+    A mode that stands runs at first, or the first one if there is none.
+    """
     path = pathlib.Path(path)
     self.about = json.loads(path.with_suffix('.json').read_text())
     self.modes = {mode['name']: mode for mode in self.about['modes']}
-    self.mode, self.phase = self.modes['idle'], 0.0
+    rests = [m for m in self.about['modes'] if m['kind'] == 'steady']
+    self.mode, self.phase = (rests or self.about['modes'])[0], 0.0
+    self.heading = 0.0
     self._anchor, self._pace = np.zeros(2), 1.0
     self._action: np.ndarray | None = None
     self._model = onnxruntime.InferenceSession(path)
@@ -43,21 +48,42 @@ class Controller:
     """
     if self.mode['name'] == name:
       return
+    self.heading += self._yaw()
     self.mode, self.phase, self._anchor = self.modes[name], 0.0, place.copy()
-    way = self._frames()[-1] - self._frames()[0]
+    way = self._way()
     own = speed @ way * self.mode['duration'] / max(way @ way, 1e-9)
     self._pace = float(np.clip(own, 0, 1)) if self.mode['ramps'] else 1.0
 
-  def _frames(self) -> np.ndarray:
-    """Returns x and y of the mode's keyframes, metres, [K, 2]."""
-    return np.array([key['position'][:2] for key in self.mode['keyframes']])
+  def _keys(self, field: str) -> np.ndarray:
+    """Returns a field of the mode's keyframes, [K, ...]."""
+    return np.array([key[field] for key in self.mode['keyframes']])
+
+  def _way(self) -> np.ndarray:
+    """Returns the way of a cycle, x and y in the world, metres, [2]."""
+    frames = self._keys('position')[:, :2]
+    return _turn(frames[-1] - frames[0], self.heading)
+
+  def _yaw(self) -> float:
+    """Returns the yaw of the keyframes at the phase, radians."""
+    phases, frames = self._keys('phase'), self._keys('orientation')
+    passed = int(np.searchsorted(phases, self.phase, 'right'))
+    last = min(passed, len(phases) - 1) - 1
+    before, after = frames[last], frames[last + 1]
+    after = after if before @ after >= 0 else -after
+    share = (self.phase - phases[last]) / (phases[last + 1] - phases[last])
+    angle = np.arccos(min(before @ after, 1.0))
+    if angle > 1e-9:  # Spherical interpolation.
+      before = before * np.sin((1 - share) * angle)
+      before = before + after * np.sin(share * angle)
+    w, x, y, z = before / np.linalg.norm(before)
+    return float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
   def reference(self) -> np.ndarray:
     """Returns x and y of where the trunk should be, metres, [2]."""
-    phases = [key['phase'] for key in self.mode['keyframes']]
-    local = [np.interp(self.phase, phases, axis) for axis in self._frames().T]
+    phases, frames = self._keys('phase'), self._keys('position')[:, :2]
+    local = [np.interp(self.phase, phases, axis) for axis in frames.T]
     slow = self._pace + (1 - self._pace) * self.phase / 2
-    return self._anchor + slow * np.array(local)
+    return self._anchor + slow * _turn(np.array(local), self.heading)
 
   def advance(self) -> None:
     """Advances the clock by a control step."""
@@ -65,35 +91,77 @@ class Controller:
     if self.phase >= 1 and self.mode['kind'] == 'transient':
       self.phase = 1.0
     elif self.phase >= 1:
-      way = self._frames()[-1] - self._frames()[0]
       if self.mode['kind'] == 'periodic':
-        self._anchor += way * (1 + self._pace) / 2
+        self._anchor += self._way() * (1 + self._pace) / 2
+        self.heading += self.mode['turn']
       self.phase, self._pace = self.phase - 1, 1.0
 
-  def act(self, place: np.ndarray, sensed: dict[str, np.ndarray]) -> np.ndarray:
+  def act(
+    self,
+    place: np.ndarray,
+    sensed: dict[str, np.ndarray],
+    scan: np.ndarray | None = None,
+  ) -> np.ndarray:
     """Returns joint targets, radians, [J].
 
     Args:
       place: x and y of the trunk by odometry, metres, [2].
-      sensed: result of `sense`, or the same parts of a robot's sensors.
+      sensed: result of `sense`, or the same parts of a robot's sensors; its
+        orientation is that in the world.
+      scan: heights of the ground over the support, as they were 0.03 s ago,
+        metres, for policies that observe a `ground_scan`: [16], at the places
+        that its formula says, minus infinity for no ground.
+
+    Raises:
+      ValueError: the policy observes a scan, and there is none, or of another
+        length.
     """
+    sizes = {part['name']: part['size'] for part in self.about['observation']}
+    if 'ground_scan' in sizes:
+      if scan is None or np.shape(scan) != (sizes['ground_scan'],):
+        raise ValueError(
+          'This policy observes the ground: give act(..., scan=...) the '
+          f'{sizes["ground_scan"]} heights of ground_scan.'
+        )
+      sensed = {**sensed, 'ground_scan': np.clip(scan, -0.6, 0.6)}
     if self._action is None:
       self._action = sensed['joints_pos']
     angle = 2 * np.pi * self.phase
     parts = {
       'clock': [np.sin(angle), np.cos(angle)],
       'command': self.mode['latent'],
-      'displacement': np.clip(place - self.reference(), -0.5, 0.5),
+      'displacement': np.clip(
+        _turn(place - self.reference(), -self.heading), -0.5, 0.5
+      ),
       'clock_rate': [1.0],
       'previous_action': self._action,
       **sensed,
+      'orientation': _in_heading(sensed['orientation'], self.heading),
     }
-    seen = np.concatenate([parts[p['name']] for p in self.about['observation']])
+    seen = np.concatenate([parts[name] for name in sizes])
     seen = seen[None].astype(np.float32)
     (actions,) = self._model.run(None, {'observation': seen})
     bounds = self.about['action']
     self._action = np.clip(actions[0], bounds['minimum'], bounds['maximum'])
     return self._action
+
+
+def _turn(vector: np.ndarray, angle: float) -> np.ndarray:
+  """Turns x and y [2] by an angle, radians."""
+  c, s = np.cos(angle), np.sin(angle)
+  return np.array(
+    [c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]]
+  )
+
+
+def _in_heading(orientation: np.ndarray, heading: float) -> np.ndarray:
+  """Returns an orientation [4] relative to a heading, with w >= 0."""
+  c, s = np.cos(heading / 2), np.sin(heading / 2)
+  w, x, y, z = orientation
+  turned = np.array(
+    [c * w + s * z, c * x + s * y, c * y - s * x, c * z - s * w]
+  )
+  return turned if turned[0] >= 0 else -turned
 
 
 def sense(

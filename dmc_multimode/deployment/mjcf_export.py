@@ -52,7 +52,9 @@ def write(
 
   Args:
     out_dir: folder of the file; made if it is missing.
-    arena: one of `layouts.NAMES`.
+    arena: flat, gap, plateau, block, block_down, gap_block, stairs,
+      stepping_stones, slope, rough, parkour, obstacle_course or
+      gaps_and_blocks.
     sizes: of the layout, metres; see its function in `layouts`.
     seed: of what the layout draws.
     timestep: of the physics, seconds; the tasks' own by default.

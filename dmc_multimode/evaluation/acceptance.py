@@ -4,10 +4,12 @@ The reward measures the trunk alone, so that a shuffle on both feet may earn as
 much as a walk. A mode's criteria follow from its reference. A standing mode
 stays in place; a gait keeps its speed and height, or rises in every cycle if
 the reference does, and alternates its feet if the reference does; a bounding
-mode rises and flies in every cycle; a jump onto a block ends on it.
+mode rises and flies in every cycle; a jump onto a block ends on it. Any mode
+whose reference leans the trunk has to lean it, too.
 """
 
-from typing import Callable, NamedTuple, Sequence
+import functools
+from typing import Callable, Iterator, NamedTuple, Sequence
 
 import numpy as np
 
@@ -24,6 +26,14 @@ _ALTERNATION = 0.8  # Share of touch-downs.
 _RISE = 0.6  # Of the reference's rise.
 _FLIGHT = 0.45  # Of the reference's time in the air.
 _STANCE = 1.0  # Seconds on all feet after a jump.
+_LEAN = 0.5  # Of the reference's angle.
+_UPRIGHT = np.deg2rad(8.0)  # The trunk's own sway: less is no lean.
+_LEANS = (  # Name, axis of `Trace.tilt`, sign.
+  ('lean_right', 0, 1),
+  ('lean_left', 0, -1),
+  ('lean_ahead', 1, 1),
+  ('lean_back', 1, -1),
+)
 
 
 class Criterion(NamedTuple):
@@ -69,12 +79,32 @@ def criteria(
     motion: the reference.
     size: of the robot, in those of the mini biped: a factor of lengths.
   """
+  return (*_of_kind(motion, size), *_of_leans(motion))
+
+
+def _of_kind(
+  motion: motion_lib.ReferenceMotion, size: float
+) -> tuple[Criterion, ...]:
+  """Returns the criteria of what the trunk's place and the feet do."""
   if motion.kind == motion_lib.STEADY:
     return (Criterion('drift', -np.inf, _DRIFT * size, gait_metrics.drift),)
   if motion.kind == motion_lib.TRANSIENT:
     return _of_jumps(motion, size)
   airborne = _time_in_the_air(motion)
   return _of_bounds(motion, airborne) if airborne else _of_gaits(motion, size)
+
+
+def _of_leans(motion: motion_lib.ReferenceMotion) -> Iterator[Criterion]:
+  """Yields a criterion for each side to which the reference leans."""
+  tilt = motion_lib.tilt(motion.orientations)
+  for name, axis, sign in _LEANS:
+    angle = float((sign * tilt[:, axis]).max())
+    if angle > _UPRIGHT:
+      every = motion.kind != motion_lib.TRANSIENT
+      measure = functools.partial(
+        gait_metrics.lean, axis=axis, sign=sign, every_cycle=every
+      )
+      yield Criterion(name, _LEAN * angle, np.inf, measure)
 
 
 def check(

@@ -17,6 +17,7 @@ class Trace(NamedTuple):
     reference: position of the reference, likewise.
     support: height of the support plane, metres, [T].
     yaw: of the trunk, radians, [T].
+    tilt: its roll and pitch, radians, [T, 2]; see `motion.tilt`.
     contact: feet on the ground, in the robot's order, 0 or 1, [T, F].
     reference_contact: contacts of the reference, likewise.
     timestep: seconds.
@@ -27,6 +28,7 @@ class Trace(NamedTuple):
   reference: np.ndarray
   support: np.ndarray
   yaw: np.ndarray
+  tilt: np.ndarray
   contact: np.ndarray
   reference_contact: np.ndarray
   timestep: float
@@ -75,6 +77,7 @@ def traces(
       reference=measured['reference'][:length, world],
       support=measured['support'][:length, world],
       yaw=measured['yaw'][:length, world],
+      tilt=measured['tilt'][:length, world],
       contact=measured['contact'][:length, world],
       reference_contact=measured['reference_contact'][:length, world],
       timestep=timestep,
@@ -124,6 +127,23 @@ def drift(trace: Trace) -> float:
 def turn_rate(trace: Trace) -> float:
   """Returns the mean yaw rate when settled, to the left, rad/s."""
   return float(trace.velocity(np.unwrap(trace.yaw)))
+
+
+def lean(trace: Trace, axis: int, sign: int, every_cycle: bool = True) -> float:
+  """Returns how far the trunk leans to one side in a cycle, radians.
+
+  The greatest angle of a cycle, mean of cycles; negative where the trunk leans
+  to the other side throughout.
+
+  Args:
+    trace: an episode.
+    axis: 0 for the roll, 1 for the pitch.
+    sign: 1 for right or ahead, -1 for left or back.
+    every_cycle: or else the greatest of the episode, for a mode that runs once.
+  """
+  angle = sign * trace.tilt[:, axis]
+  parts = trace.cycles(angle) if every_cycle else [angle]
+  return float(np.mean([part.max() for part in parts]))
 
 
 def bob(trace: Trace) -> float:

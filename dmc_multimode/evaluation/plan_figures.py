@@ -18,7 +18,15 @@ _SMALL = 'small'
 
 
 def draw(found: plan_lib.PlanResult) -> matplotlib.figure.Figure:
-  """Draws a plan, its path, and the times of pushes."""
+  """Draws a plan, its path, and the times of pushes.
+
+  Args:
+    found: result of `plan`.
+
+  Returns:
+    A matplotlib figure, to save by `draw_plan(result).savefig('plan.png')`;
+    notebooks show it.
+  """
   course = found.course
   terrain = track.make(course.arena, sizes=course.sizes).generate(
     np.random.RandomState(course.seed)

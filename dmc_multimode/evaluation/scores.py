@@ -57,8 +57,69 @@ def evaluate(
       `events.fixed`, or its result.
 
   Returns:
-    JSON values: those of `report`, what is asked for besides, and the policy's
+    JSON values: scores, what is asked for besides, and the policy's
     `provenance`.
+
+    `mra_modes`, `mra_transitions`: over the modes or transitions, of the mean
+    normalised return, in [0, 1]; `survival_modes`, `survival_transitions`:
+    share of the episodes that no termination ends.
+
+    `modes`: by mode, means over its episodes.
+      mra, survival: as above.
+      velocity, lateral_velocity: of the trunk along world x and y after the
+        first second, m/s.
+      reference_velocity: of the reference along x, likewise, m/s.
+      turn_rate: mean rate of the yaw after the first second, to the left,
+        rad/s.
+      height: mean of the trunk over the ground below it, m.
+      apex: greatest height in a cycle, mean of the cycles, m.
+      rise: range of the height in a cycle, mean of the cycles, m.
+      flight: longest time in a cycle without a foot on the ground, mean of the
+        cycles, s.
+      single_support: share of the time with just one foot on the ground.
+      alternation: share of single touch-downs that follow one of the other
+        foot, after the first second.
+      agreement: share, over steps and feet after the first second, in which a
+        foot is on the ground, or off it, as in the reference; without meaning
+        where that leaves contacts free.
+      drift: greatest horizontal distance from the start, m.
+      position_error: mean distance of the trunk from the reference, m.
+      final_height: of the trunk in the world, at the end, m.
+
+    `transitions`: mra and survival of each, 'FROM->TO'.
+
+    `acceptance`: by mode, criteria in episodes of 5.1 s, each with its `value`,
+    the `worst` of the episodes, `least` and `most` (null for none) and
+    `passed`. drift, turn_rate, rise, flight, alternation: as above.
+      speed: along the reference's way after the first second, m/s.
+      bob: greatest deviation of the height from its mean, likewise, m.
+      stance: longest time on all feet at the height after a jump, s.
+      lean_right, lean_left, lean_ahead, lean_back: greatest angle to which the
+        trunk leans in a cycle, mean of the cycles, rad.
+
+    `motion`: by mode, how it moves; null where there is nothing to measure.
+      action_change, action_change_p99: change of a joint target from one
+        control step to the next, mean and 99th percentile, rad.
+      fast_action_power: share of the actions' power above 5 Hz.
+      torque_rms, torque_peak: root mean square, and greatest, of the servos'
+        torques, Nm.
+      power: positive mechanical power of all servos, mean, W.
+      cost_of_transport: positive work over weight and distance.
+      touch_down_speed, touch_down_speed_p99: of the corners of soles as they
+        come into the ground, mean and 99th percentile, m/s.
+      slip: horizontal speed of a sole that bears a tenth of the weight, mean,
+        m/s.
+      penetration_p99: depth of a loaded foot under the ground, 99th percentile,
+        mm.
+      limit_excess: farthest that a joint is beyond its limit, degrees.
+      hip_yaw_at_limit: share of the time that a hip yaw is within half a degree
+        of a limit, or beyond.
+      peak_force: greatest force of the ground in an episode, mean, body
+        weights.
+      stance_asymmetry: |left - right| / (left + right) of the times on the
+        feet, mean.
+      drift_60s: greatest horizontal distance from the start in 60 s, mean, of
+        standing modes, m.
 
   Raises:
     FileNotFoundError: there is no such policy.

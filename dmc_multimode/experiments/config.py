@@ -1,6 +1,7 @@
 """Configuration of a run, in one dataclass."""
 
 import dataclasses
+import difflib
 import json
 from typing import Annotated, Any, Iterator, Mapping
 
@@ -97,11 +98,41 @@ def overridden(
       if inner:
         new[name] = overridden(value, inner, f'{prefix}{name}_')
   if rest:
-    raise ValueError(f'{prefix}{next(iter(rest))} is no setting of a run')
+    unknown = f'{prefix}{next(iter(rest))}'
+    near = _nearest(unknown, _names(config, prefix))
+    hint = f'; do you mean {" or ".join(near)}?' if near else ''
+    raise ValueError(f'{unknown} is no setting of a run{hint}')
   try:
     return dataclasses.replace(config, **new)
   except ValueError as error:
     raise ValueError(f'{prefix}{error}') from error
+
+
+def _nearest(unknown: str, names: list[str]) -> list[str]:
+  """Returns up to three names that are like an unknown one, the likest first.
+
+  Or like it when all words but the first are initials: `ppo_lr`.
+  """
+  spellings = {name: name for name in names}
+  for name in names:
+    first, *words = name.split('_')
+    initials = ''.join(word[0] for word in words)
+    spellings.setdefault(f'{first}_{initials}', name)
+  near = difflib.get_close_matches(unknown, spellings, 3, 0.7)
+  return list(dict.fromkeys(spellings[spelling] for spelling in near))
+
+
+def _names(config: Any, prefix: str) -> list[str]:
+  """Returns the names of the flags of a configuration's values."""
+  found = []
+  for field in dataclasses.fields(config):
+    value, name = getattr(config, field.name), f'{prefix}{field.name}'
+    is_part = dataclasses.is_dataclass(value)
+    if is_part and not isinstance(value, schedule.Schedule):
+      found += _names(value, f'{name}_')
+    else:
+      found.append(name)
+  return found
 
 
 def differences(

@@ -50,6 +50,10 @@ class RunFolder:
     self.tensorboard = self.path / 'tensorboard'
     self.launch = self.path / 'launch'
 
+  def __repr__(self) -> str:
+    """Returns one line."""
+    return f'RunFolder({str(self.path)!r})'
+
   def kept_policy(self, steps: int) -> pathlib.Path:
     """Returns the folder of the policy kept after `steps`."""
     return self.path / 'policies' / str(steps)
@@ -73,7 +77,8 @@ class RunFolder:
     """
     if not self.config.is_file():
       raise FileNotFoundError(
-        f'{self.path} holds no run to resume; start one without --resume.'
+        f'{self.path} holds no run to resume; start one without --resume (from '
+        'Python resume=False).'
       )
     content = files.read_bounded(self.config)
     try:

@@ -429,7 +429,7 @@ def train(
 
   logger = loggers.Dispatcher(
     [
-      loggers.ProgressLogger(config.decisions, run.decisions),
+      loggers.ProgressLogger(config.decisions, run.decisions, minutes),
       loggers.CSVLogger(folder / _METRICS_FILE, run.decisions),
     ]
   )
@@ -467,13 +467,15 @@ def _configure(
   if not resume:
     if path.exists():
       raise ValueError(
-        f'{folder} already holds a run: add --resume, or name another folder.'
+        f'{folder} already holds a run: add --resume (from Python '
+        'resume=True), or name another folder.'
       )
     files.output_folder('run_dir', folder)
     return run_config.overridden(SelectorConfig(), overrides)
   if not path.is_file():
     raise FileNotFoundError(
-      f'{folder} holds no run to resume; start one without --resume.'
+      f'{folder} holds no run to resume; start one without --resume (from '
+      'Python resume=False).'
     )
   config = config_lib.build(SelectorConfig, files.read_json(path))
   asked = run_config.overridden(config, overrides)

@@ -69,8 +69,8 @@ def train(
       an encoder makes latents; by default those of `quickstart`, or with
       `init_from` those of the policy and of `mode_file`.
     steps: environment steps, summed over all worlds, since the start; by
-      default those of `RunConfig`, or of the run that is resumed. Other ones
-      are the resumed run's from then on.
+      default 12,000,000, or those of the run that is resumed. Other ones are
+      the resumed run's from then on.
     resume: continues the run in the folder, bit for bit.
     init_from: initial policy, a shipped one or a folder; its task and network
       become defaults.
@@ -79,16 +79,21 @@ def train(
     robot: declared robot, or its file; the mini biped by default, or that of
       the initial policy or of the run that is resumed, which must be this one.
       Lengths and times of defaults and of the library's modes are scaled to it.
-    minutes: wall-clock limit.
+    minutes: wall-clock limit; training ends where steps or minutes do.
     keep_every: environment steps between policies that are kept permanently; 0
       keeps none.
     device: of the networks.
     wandb_project: project of Weights and Biases to log to.
     communicator: of the ranks that train together; each calls this, and rank 0
       alone writes and prints.
-    **overrides: other fields of `RunConfig`, named as the flags are:
-      `num_worlds=512`, `ppo_discount=0.98`,
-      `task_events_push_speed='0:0.5@8e6'`.
+    **overrides: other settings, named as the flags are that `train --help`
+      lists: `seed=0`, `num_worlds=1024`, `threads` (those of the machine) and
+      `one_hot=False`, which are the defaults; those of the learner, the fields
+      of `PPOConfig`, as `ppo_discount=0.98`; of the commands `sampling_...`,
+      the fields of `SamplingConfig`; and of the task `task_...`, those of
+      `ImitationConfig`, whose parts go on likewise:
+      `task_events_push_speed='0:0.5@8e6'` is none, and from 8 million steps on
+      0.5 m/s.
 
   Returns:
     The policy, also written to the run's folder.
@@ -201,8 +206,8 @@ class _Request:
     folder = self.folder
     if folder.holds_run():
       raise ValueError(
-        f'{folder.path} already holds a run: add --resume, or name another '
-        'folder.'
+        f'{folder.path} already holds a run: add --resume (from Python '
+        'resume=True), or name another folder.'
       )
     if start:
       print('Extending the mode encoder.', flush=True)
@@ -361,7 +366,7 @@ def _run(
 
   logger = loggers.Dispatcher([])
   if is_first:
-    logger = _make_logger(folder, run, length.steps, wandb_project)
+    logger = _make_logger(folder, run, length, wandb_project)
   try:
     with signals.Stop() as stop:
       run.loop.run(length, logger, save, stop, keep)
@@ -375,12 +380,12 @@ def _run(
 def _make_logger(
   folder: run_folder.RunFolder,
   run: setup.Run,
-  steps: int,
+  length: runner.TrainingConfig,
   wandb_project: str | None,
 ) -> loggers.Dispatcher:
   now = run.loop.steps
   parts: list[loggers.Logger] = [
-    loggers.ProgressLogger(steps, now),
+    loggers.ProgressLogger(length.steps, now, length.minutes),
     loggers.CSVLogger(folder.metrics, now),
     loggers.TensorBoardLogger(folder.tensorboard, now),
   ]

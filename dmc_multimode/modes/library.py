@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import os
 from typing import Iterable, Mapping, Sequence
 
 import numpy as np
@@ -12,6 +13,7 @@ from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.utils import constants
 from dmc_multimode.utils import resources
 
+_FILES = '.yaml', '.yml', '.json'  # Mode files end so, and no name does.
 _WALK_DURATION = 0.6  # Seconds of a stride, one step of each foot.
 # Phases of a stride: both feet stand for a tenth of it.
 _STEP_PHASES = np.array([0.0, 0.025, 0.475, 0.525, 0.975, 1.0])
@@ -327,23 +329,31 @@ SETS: Mapping[str, tuple[str, ...]] = {
 
 
 def resolve(
-  spec: str | Sequence[str],
+  spec: str | os.PathLike[str] | Sequence[str],
   extra: Iterable[motion_lib.ReferenceMotion] = (),
   stand_height: float = constants.STAND_HEIGHT,
 ) -> tuple[motion_lib.ReferenceMotion, ...]:
   """Resolves `spec` to motions, in order.
 
   Args:
-    spec: a set's name ('pi2'), mode names separated by commas, or a sequence
-      of mode names.
+    spec: a set's name ('pi2'), mode names separated by commas, a sequence of
+      mode names, or a mode file: a path that ends in .yaml, .yml or .json, for
+      all of its modes.
     extra: user modes that may be named besides the library's; they take
       precedence over a library mode of the same name.
     stand_height: of the robot's trunk, metres, to which the library's modes
       are scaled; see `motion.scaled`.
 
   Raises:
-    ValueError: a name is unknown; the message lists the known ones.
+    ValueError: a name is unknown; the message lists the known ones; or the file
+      is not a mode file.
   """
+  if isinstance(spec, os.PathLike):
+    spec = os.fspath(spec)
+  if isinstance(spec, str) and spec.lower().endswith(_FILES):
+    from dmc_multimode.modes import files as mode_files  # It imports this one.
+
+    return mode_files.load(spec, stand_height)
   mine = {
     name: motion_lib.scaled(motion, stand_height)
     for name, motion in {**modes(), **four_footed_modes()}.items()
@@ -373,13 +383,14 @@ def codebook() -> codebook_lib.Codebook:
 
 
 def mode_set(
-  spec: str | Sequence[str],
+  spec: str | os.PathLike[str] | Sequence[str],
   extra: Iterable[motion_lib.ReferenceMotion] = (),
   stand_height: float = constants.STAND_HEIGHT,
 ) -> mode_set_lib.ModeSet:
   """Returns the mode set of `spec`, with the shipped latents.
 
-  Modes of four feet have none: sets of them have one-hot commands.
+  Modes of four feet and those of a file have none: sets of them have one-hot
+  commands.
 
   Args:
     spec: see `resolve`.
@@ -387,10 +398,12 @@ def mode_set(
     stand_height: see `resolve`.
 
   Raises:
-    ValueError: a name is unknown, or the mode has no shipped latent.
+    ValueError: a name is unknown, or the mode has no shipped latent; or the
+      file is not a mode file.
   """
   motions = resolve(spec, extra, stand_height)
-  if all(motion.name in four_footed_modes() for motion in motions):
+  of_four_feet = all(motion.name in four_footed_modes() for motion in motions)
+  if of_four_feet or str(spec).lower().endswith(_FILES):
     return mode_set_lib.one_hot(motions)
   names = [motion.name for motion in motions]
   return mode_set_lib.ModeSet(motions, codebook().subset(names))

@@ -44,6 +44,10 @@ class ModeSet:
   def __len__(self) -> int:
     return len(self.motions)
 
+  def __repr__(self) -> str:
+    """Returns one line: the modes."""
+    return f'ModeSet({", ".join(self.names)})'
+
   def for_feet(self, count: int) -> 'ModeSet':
     """Returns the modes for a robot with `count` feet.
 

@@ -91,6 +91,13 @@ class ReferenceMotion:
     object.__setattr__(self, 'mirror', self.mirror or self.name)
     self._validate()
 
+  def __repr__(self) -> str:
+    """Returns one line; the keyframes are in the attributes."""
+    return (
+      f'ReferenceMotion({self.name}, {self.kind}, {self.duration:g} s, '
+      f'{len(self.phases)} keyframes)'
+    )
+
   @property
   def num_feet(self) -> int | None:
     """Number F of the feet of the contacts; None where these are free."""
@@ -329,6 +336,19 @@ def _without_yaw(quaternions: np.ndarray) -> np.ndarray:
   return np.stack(
     [c * w + s * z, c * x + s * y, c * y - s * x, c * z - s * w], 1
   )
+
+
+def tilt(quaternions: np.ndarray) -> np.ndarray:
+  """Returns roll and pitch of quaternions [..., 4], in radians, [..., 2].
+
+  After the yaw about z: the pitch about the y axis so turned, positive for a
+  trunk that leans ahead, and the roll about the x axis of that, positive for
+  one that leans to its right.
+  """
+  w, x, y, z = np.moveaxis(np.asarray(quaternions), -1, 0)
+  roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+  pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
+  return np.stack([roll, pitch], axis=-1)
 
 
 def yaw(quaternions: np.ndarray) -> np.ndarray:

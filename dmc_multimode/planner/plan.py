@@ -6,6 +6,7 @@ one the robot rests: it has reached the goal if it then stands there.
 """
 
 import dataclasses
+import itertools
 import math
 import os
 import pathlib
@@ -79,16 +80,16 @@ class ModePlan:
     return schedule_lib.from_knots(self.indices(mode_set), self.knot_duration)
 
   def segments(self) -> tuple[list[str], list[float]]:
-    """Returns the modes without repetitions and their durations, seconds."""
-    names: list[str] = []
-    durations: list[float] = []
-    for name in self.modes:
-      if names and names[-1] == name:
-        durations[-1] += self.knot_duration
-      else:
-        names.append(name)
-        durations.append(self.knot_duration)
-    return names, durations
+    """Returns the modes without repetitions and their durations, seconds.
+
+    Durations are without the rounding of sums: 0.45, not 0.44999999999999996.
+    """
+    runs = [
+      (name, len(list(run))) for name, run in itertools.groupby(self.modes)
+    ]
+    return [name for name, _ in runs], [
+      round(knots * self.knot_duration, 9) for _, knots in runs
+    ]
 
 
 class Course(NamedTuple):
@@ -206,6 +207,13 @@ class PlanResult:
   rollouts: int
   control_steps: int
   origin: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+  def __repr__(self) -> str:
+    """Returns one line: the track, the modes and the end."""
+    segments = zip(*self.plan.segments(), strict=True)
+    modes = ','.join(f'{name}:{seconds:g}' for name, seconds in segments)
+    fate = 'reached' if self.success else 'not reached'
+    return f'PlanResult({self.course.arena}, goal {fate}; {modes})'
 
   @property
   def final_position(self) -> np.ndarray:

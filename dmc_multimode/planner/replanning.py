@@ -50,14 +50,18 @@ def solve(
 
   Args:
     policy: name of a shipped policy, a folder, or a policy object.
-    arena: name of the track.
+    arena: name of the track: flat, gap, plateau, block, block_down, gap_block,
+      stairs, stepping_stones, slope, rough, parkour, obstacle_course or
+      gaps_and_blocks; or several, joined by +, one of which is drawn.
     seed: of the track, if it is random, and of the initial state's noise.
     problem: goal, knots and seed; by default those of the track, and `seed`.
     sizes: of the track, metres, where they are not its defaults.
-    planner: a name from `solver.PLANNERS`, or a configuration. A selector sees
-      the robot and the ground at every knot, and does not plan; a guided search
-      samples its plans from one, and has its knots. By default a guided search
-      for a policy with a selector beside it, and a beam search for others.
+    planner: 'beam', 'guided', 'q_learning' or 'selector', or a configuration:
+      a `BeamConfig`, `GuidedConfig`, `QLearningConfig` or `SteeringConfig`
+      (`planner.steering`). A selector sees the robot and the ground at every
+      knot, and does not plan; a guided search samples its plans from one, and
+      has its knots. By default a guided search for a policy with a selector
+      beside it, and a beam search for others.
     pushes: on the robot, at knots; unknown to the planner.
     replan_every: knots after which to plan again; 0 for never, an open loop.
     num_threads: of the physics; 0 takes every core.

@@ -114,6 +114,13 @@ class Selector:
   knot_duration: float
   provenance: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
+  def __repr__(self) -> str:
+    """Returns one line: policy, modes and knots."""
+    return (
+      f'Selector({", ".join(self.mode_names)}; policy {self.policy}, '
+      f'a choice every {self.knot_duration:g} s)'
+    )
+
   @torch.no_grad()
   def select(self, observations: np.ndarray, obeyed: np.ndarray) -> np.ndarray:
     """Returns the likeliest mode of each world, [B].

@@ -1,5 +1,6 @@
 """The folder of a policy, as far as it is read without torch."""
 
+import contextlib
 import os
 import pathlib
 from typing import Any
@@ -65,10 +66,13 @@ def find(policy: str | os.PathLike[str]) -> pathlib.Path:
       f'{path} holds no {DESCRIPTION_FILE}: it is not the folder of a policy '
       'or of a training run that has saved one.'
     )
-  found = resources.path('pretrained', name)
-  if not (found / DESCRIPTION_FILE).is_file():
-    raise FileNotFoundError(f'pretrained {name!r} is no policy.')
-  return found
+  with contextlib.suppress(FileNotFoundError):  # Whose list has encoders, too.
+    shipped = resources.path('pretrained', name)
+    if (shipped / DESCRIPTION_FILE).is_file():
+      return shipped
+  raise FileNotFoundError(
+    f'no pretrained policy named {name!r}; there are: {", ".join(names())}'
+  )
 
 
 def read_json(path: pathlib.Path) -> dict[str, Any]:

@@ -69,6 +69,13 @@ class Policy:
     if self.network.own_modules(self.hidden_sizes):
       self.network.check()
 
+  def __repr__(self) -> str:
+    """Returns one line: modes, robot and steps."""
+    steps = self.provenance.get('steps')
+    trained = f', {steps:,} steps' if isinstance(steps, int) else ''
+    modes, robot = ', '.join(self.mode_set.names), self.config.robot
+    return f'Policy({modes}; robot {robot.name}{trained})'
+
   @functools.cached_property
   def actor(self) -> acting.FeedForwardActor:
     """Returns an actor for one dm_env environment, deterministic."""
@@ -140,8 +147,10 @@ def load(
   """Loads a policy by the name of a shipped one, or from a folder.
 
   Args:
-    policy: one of `pretrained.names()`, a policy's folder, or a training run's
-      folder.
+    policy: one of `pretrained.names()`, such as 'pi2', 'pi_all' and
+      'quickstart', a policy's folder, or a training run's folder. The name is
+      also that of the set of its modes; the policy has a task of its own, and
+      `make_worlds(policy, ...)` makes the worlds of that.
     network: makes the network of a policy that has modules of one's own, for
       its weights to be loaded into: called with the numbers of observations, of
       actions and of privileged observations, it returns an `ActorCritic`.

@@ -112,6 +112,17 @@ def choose_late() -> None:
   taker.Renderer = _make_context
 
 
+def choose_late_without_display() -> None:
+  """Calls `choose_late` where there is no display, else does nothing.
+
+  For packages that import dm_control and may be imported before the suite:
+  planning and evaluating draw nothing, and should not warn either. With a
+  display dm_control finds it by itself, unless a backend is chosen first.
+  """
+  if not _has_display():
+    choose_late()
+
+
 def choose() -> None:
   """Chooses now, if `choose_late` has left it for the first frame.
 

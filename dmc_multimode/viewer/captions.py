@@ -111,6 +111,14 @@ class Captions:
     )
     self._warning = ''
 
+  def _contacts(self) -> str:
+    """Returns which feet the reference has on the ground."""
+    reference = self._rollout.task.core.tracker.reference()
+    if not reference.has_contact[0]:
+      return 'feet free'
+    feet = ' '.join(f'{foot:.0f}' for foot in reference.contact[0])
+    return f'feet on the ground {feet}'
+
   def draw(self, frame: np.ndarray, step: 'rollout_lib.Step') -> np.ndarray:
     """Returns the frame of a step with its caption, uint8 [H, W, 3]."""
     if step.cause != 'none' and not self._warning:
@@ -126,7 +134,9 @@ class Captions:
       (
         *self._name,
         f'{step.time:.2f} s, {step.speed:.2f} m/s',
-        f'reward {step.reward:.2f}',
+        f'reward {step.reward:.2f}'
+        if np.isfinite(step.reward)
+        else self._contacts(),
         f'over ground {step.height:.2f} m',
         f'over world {step.position[2]:.2f} m',
         *self._ghost,

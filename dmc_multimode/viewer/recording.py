@@ -1,5 +1,6 @@
 """Videos of roll-outs: rendered, captioned and encoded."""
 
+import dataclasses
 import itertools
 import os
 import pathlib
@@ -28,9 +29,11 @@ from dmc_multimode.viewer import video
 
 if TYPE_CHECKING:
   from dmc_multimode import pretrained
+  from dmc_multimode.viewer import reference_rollout
   from dmc_multimode.viewer import rollout as rollout_lib
   from dmc_multimode.walkers import robot as robot_lib
 
+_CYCLES = 2  # Of each mode of a reference.
 _SlowMotion = Annotated[float, pydantic.Field(ge=0.01, le=100)]
 
 
@@ -39,11 +42,13 @@ class RecordingConfig:
   """Camera, size and speed of a video.
 
   Attributes:
-    camera: one of `camera.VIEWS`, or a camera of the model.
-    width: pixels, even.
-    height: pixels, even.
-    ghost: whether the reference is drawn.
-    slow_motion: seconds of video per second of simulation, 0.01 to 100.
+    camera: 'side', 'front' or 'overview', which follow the robot, or a camera
+      of the model; 'side' by default.
+    width: pixels, even; 640 by default.
+    height: pixels, even; 480 by default.
+    ghost: whether the reference is drawn; it is by default.
+    slow_motion: seconds of video per second of simulation, 0.01 to 100; 1 by
+      default.
   """
 
   camera: str = 'side'
@@ -108,7 +113,7 @@ class Recording(NamedTuple):
 
 
 def record(
-  policy: 'str | os.PathLike[str] | pretrained.Policy',
+  policy: 'str | os.PathLike[str] | pretrained.Policy | None' = None,
   schedule: str | Sequence[tuple[str, float]] | None = None,
   plan: str | os.PathLike[str] | plan_lib.PlanFile | None = None,
   out: str | os.PathLike[str] = 'video.mp4',
@@ -121,18 +126,25 @@ def record(
   quiet: bool = False,
   compare: 'str | os.PathLike[str] | pretrained.Policy | None' = None,
   robot: 'str | os.PathLike[str] | robot_lib.Robot | None' = None,
+  reference: 'str | os.PathLike[str] | mode_set_lib.ModeSet | None' = None,
 ) -> Recording:
   """Records a policy that follows a schedule or a plan on a track.
 
+  With a `reference` in the place of a policy, its modes alone: a box, which is
+  the trunk, moves through their keyframes, as before a training.
+
   Args:
     policy: name of a shipped policy, a folder, or a policy.
-    schedule: 'MODE:SECONDS,MODE:SECONDS,...' or such pairs.
+    schedule: 'MODE:SECONDS,MODE:SECONDS,...' or such pairs; by default of a
+      reference two cycles of each mode.
     plan: instead of a schedule, a plan or its file, which also has track, seed
       and pushes.
     out: the video, an .mp4 or a .gif file; missing folders are made.
-    arena: name of the track.
+    arena: name of the track: flat, gap, plateau, block, block_down, gap_block,
+      stairs, stepping_stones, slope, rough, parkour, obstacle_course or
+      gaps_and_blocks; or several, joined by +, one of which is drawn.
     seed: of the terrain and of the initial state's noise.
-    config: of the video.
+    config: of the video: camera, size and speed.
     clock_rate: rate of the phase clock, 1 being the references' own.
     physics_timestep: seconds; `constants.PHYSICS_TIMESTEP` if None.
     terminate: ends the video at a termination of the episode.
@@ -140,15 +152,35 @@ def record(
     compare: another policy to show beside it, with the same schedule and
       camera, each in its own task; or an .mp4 file that was recorded before, in
       this size and at this frame rate, such as one of an earlier version.
-    robot: that the policy must have been trained for, or its file.
+    robot: that the policy must have been trained for, or its file; that of a
+      reference, by default the mini biped.
+    reference: a mode file, names of the library's modes, or a `ModeSet`.
 
   Raises:
     FileNotFoundError: there is no such policy or plan.
-    ValueError: not one of schedule and plan is given; a mode, arena or camera
+    ValueError: not one of schedule and plan is given, nor one of policy and
+      reference; a mode, arena or camera
       is unknown; or a number is out of bounds.
     OSError: there is no OpenGL, or the video cannot be written.
   """
   path = video.check_path(out)
+  if (policy is None) == (reference is None):
+    raise ValueError('Say what to record: a policy or a reference.')
+  if reference is not None:
+    if plan is not None or compare is not None:
+      raise ValueError('A reference has a schedule, and no plan or comparison.')
+    modes = _reference_modes(reference, robot)
+    if schedule is None:
+      schedule = [(m.name, _CYCLES * m.duration) for m in modes.motions]
+    return _film_reference(
+      modes,
+      {**scheduled(schedule, arena, seed), 'clock_rate': clock_rate},
+      robot,
+      config or RecordingConfig(),
+      path,
+      quiet,
+    )
+  assert policy is not None
   if schedule is not None and plan is None:
     what = scheduled(schedule, arena, seed)
     known = _mode_set(policy)
@@ -193,6 +225,47 @@ def record(
   )
   first, second = film_beside(policies, rollout_config, config, path, quiet)
   return first._replace(compared=second)
+
+
+def _reference_modes(
+  reference: 'str | os.PathLike[str] | mode_set_lib.ModeSet',
+  robot: 'str | os.PathLike[str] | robot_lib.Robot | None',
+) -> mode_set_lib.ModeSet:
+  from dmc_multimode.modes import library
+  from dmc_multimode.walkers import robot as robot_lib
+
+  if isinstance(reference, mode_set_lib.ModeSet):
+    return reference
+  height = robot_lib.find(robot).stand_height
+  return library.mode_set(reference, stand_height=height)
+
+
+def _film_reference(
+  modes: mode_set_lib.ModeSet,
+  what: dict[str, Any],
+  robot: 'str | os.PathLike[str] | robot_lib.Robot | None',
+  config: RecordingConfig,
+  path: pathlib.Path,
+  quiet: bool,
+) -> Recording:
+  """Records modes without a policy; see `record`."""
+  for name in what['modes']:
+    mode_set_lib.with_blends(modes, [name]).index(name)
+  gl.choose_backend()
+  # These import dm_control, which reads the choice.
+  from dmc_multimode.suite import multimode_biped
+  from dmc_multimode.viewer import reference_rollout
+  from dmc_multimode.viewer import rollout as rollout_lib
+
+  # As the keyframes have it, not as a body that comes from rest can follow it.
+  task = dataclasses.replace(
+    multimode_biped.config_for(robot), feasible_references=False
+  )
+  shown = reference_rollout.Reference(modes, task)
+  config = dataclasses.replace(config, ghost=True)
+  return film_beside(
+    {'': shown}, rollout_lib.RolloutConfig(**what), config, path, quiet
+  )[0]
 
 
 def _mode_set(
@@ -245,13 +318,22 @@ def _planned(
   plan: str | os.PathLike[str] | plan_lib.PlanFile,
   known: mode_set_lib.ModeSet,
 ) -> dict[str, Any]:
-  """Returns the roll-out's fields that follow from a plan, with its rest."""
+  """Returns the roll-out's fields that follow from a plan, with its rest.
+
+  It ends a second or so after the robot stands, however long the plan rests.
+  """
   if not isinstance(plan, plan_lib.PlanFile):
     plan = plan_lib.PlanFile.read(plan)
   names, durations = plan.plan.segments()
+  rest = known.names[plan_lib.rest_mode(known)]
+  tail = plan_lib.REST
+  if names[-1] == rest:  # In the rest nothing happens any more, but for pushes.
+    names, durations = names[:-1], durations[:-1]
+    pushed = max((push.time for push in plan.course.pushes), default=0.0)
+    tail += max(pushed - sum(durations), 0.0)
   return {
-    'modes': (*names, known.names[plan_lib.rest_mode(known)]),
-    'durations': (*durations, plan_lib.REST),
+    'modes': (*names, rest),
+    'durations': (*durations, tail),
     **plan.course._asdict(),
     'imitation': False,
   }
@@ -283,7 +365,7 @@ def film(
 
 
 def film_beside(
-  policies: 'Mapping[str, pretrained.Policy]',
+  policies: 'Mapping[str, pretrained.Policy | reference_rollout.Reference]',
   rollout_config: 'rollout_lib.RolloutConfig',
   config: RecordingConfig,
   out: pathlib.Path,
@@ -295,7 +377,7 @@ def film_beside(
   Each is in its own task. A picture stays when its roll-out has ended.
 
   Args:
-    policies: by the names to show; '' shows none.
+    policies: by the names to show; '' shows none. Or references instead.
     rollout_config, config, out, quiet: as for `film`; the size is that of one
       policy's picture.
     earlier: a video to show beside them, on the right.
@@ -354,16 +436,21 @@ class _Shot:
 
   def __init__(
     self,
-    policy: 'pretrained.Policy',
+    policy: 'pretrained.Policy | reference_rollout.Reference',
     name: str,
     rollout_config: 'rollout_lib.RolloutConfig',
     config: RecordingConfig,
   ):
     # These import dm_control, which reads MUJOCO_GL.
     from dmc_multimode.viewer import camera as camera_lib
+    from dmc_multimode.viewer import reference_rollout
     from dmc_multimode.viewer import rollout as rollout_lib
 
-    self.rollout = rollout_lib.Rollout(policy, rollout_config)
+    self.rollout: rollout_lib.Rollout
+    if isinstance(policy, reference_rollout.Reference):
+      self.rollout = reference_rollout.ReferenceRollout(policy, rollout_config)
+    else:
+      self.rollout = rollout_lib.Rollout(policy, rollout_config)
     camera_lib.prepare(self.rollout.task, config.width, config.height)
     physics = self.rollout.start()
     self.start = physics.data.qpos[:3].copy()

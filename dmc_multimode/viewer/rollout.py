@@ -36,7 +36,7 @@ class Step(NamedTuple):
     height: of the trunk over its support plane, metres.
     rise: of the trunk over the support plane at the mode's start, metres.
     speed: horizontal, mean over the last 0.3 s, m/s.
-    reward: in [0, 1].
+    reward: in [0, 1]; NaN of a reference alone.
     cause: termination cause of the step, or 'none'.
   """
 
@@ -223,6 +223,8 @@ class RolloutConfig:
 class Rollout:
   """Roll-out of a schedule; `start`, then `steps`, once."""
 
+  _robot_type: type[Robot] = Robot
+
   def __init__(self, policy: pretrained.Policy, config: RolloutConfig):
     """Builds the environment.
 
@@ -245,7 +247,7 @@ class Rollout:
     limits = policy.config.limits
     if not config.imitation:
       limits = terminations.falls_alone(limits)
-    self._robot = Robot(policy, self.task, limits, config.seed)
+    self._robot = self._robot_type(policy, self.task, limits, config.seed)
 
   @property
   def num_steps(self) -> int:

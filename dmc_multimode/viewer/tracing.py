@@ -46,7 +46,7 @@ def trace(
   Args:
     policy: name of a shipped policy, a folder, or a policy.
     schedule: 'MODE:SECONDS,MODE:SECONDS,...' or such pairs; see `record`.
-    arena: name of the track.
+    arena: name of the track; see `record`.
     seed: of the terrain and of the initial state's noise.
     clock_rate: rate of the phase clock, 1 being the references' own.
 

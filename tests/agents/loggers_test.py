@@ -151,7 +151,22 @@ def test_progress_line() -> None:
     )
     logger.close()
   last = line.getvalue().replace('\r', '\n').strip().splitlines()[-1]
-  assert '3.00k/4.00k' in last
+  assert '3.00k/4.00k' in last and 'left' not in last
   for part in ('steps/s=7123', 'MRA=0.812', 'survival=0.950', 'lr=5.0e-04'):
     assert part in last
   assert 'unknown' not in last and 'std' not in last
+
+
+def test_progress_of_a_training_that_time_ends() -> None:
+  line, now = io.StringIO(), [100.0]
+  with contextlib.redirect_stderr(line):
+    logger = loggers.ProgressLogger(12_000_000, 0, 3.0, lambda: now[0])
+    now[0] += 45.0
+    logger.write({'steps': 90_000, 'survival': 0.95})
+    now[0] += 200.0
+    logger.close()
+  first, *_, last = line.getvalue().replace('\r', '\n').strip().splitlines()
+  assert 'minutes left=3.0' in first
+  assert '90.0k of at most 12.0M steps' in last
+  assert 'minutes left=2.2' in last and 'survival=0.950' in last
+  assert '<' not in last  # The time that the steps would take.

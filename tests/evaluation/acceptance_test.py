@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.spatial import transform
 
 from dmc_multimode.evaluation import acceptance
 from dmc_multimode.evaluation import gait_metrics
@@ -35,6 +36,7 @@ def _perfect(motion: motion_lib.ReferenceMotion) -> gait_metrics.Trace:
     position,
     support,
     motion_lib.yaw(sample.orientation) + turns * turn,
+    motion_lib.tilt(sample.orientation),
     sample.contact,
     sample.contact,
     _TIMESTEP,
@@ -171,3 +173,58 @@ def test_modes_of_which_little_is_known_have_few_criteria() -> None:
   assert [p.metric for p in acceptance.criteria(walk)] == ['speed', 'bob']
   jump = dataclasses.replace(_MODES['launch'], ledge=None)
   assert acceptance.criteria(jump) == ()
+
+
+def _leaning(
+  kind: str, *angles: tuple[float, float]
+) -> motion_lib.ReferenceMotion:
+  """Returns a motion on the spot through (roll, pitch), degrees, in 1.2 s."""
+  return motion_lib.ReferenceMotion(
+    name='lean',
+    kind=kind,
+    duration=1.2,
+    phases=np.linspace(0.0, 1.0, len(angles)),
+    positions=np.tile([0.0, 0.0, 0.5], (len(angles), 1)),
+    orientations=transform.Rotation.from_euler(
+      'xy', angles, degrees=True
+    ).as_quat(scalar_first=True),
+  )
+
+
+@pytest.mark.parametrize(
+  ('motion', 'least'),
+  [
+    # A bow, once; the trunk is upright again for most of the episode.
+    (_leaning('transient', (0, 0), (0, 30), (0, 0)), {'lean_ahead': 15}),
+    (_leaning('steady', (0, -20), (0, -20)), {'lean_back': 10}),
+    (
+      _leaning('periodic', (0, 0), (20, 0), (0, 0), (-12, 0), (0, 0)),
+      {'lean_right': 10, 'lean_left': 6},
+    ),
+    (_leaning('periodic', (0, 0), (5, -5), (0, 0)), {}),
+  ],
+)
+def test_a_trunk_that_leans_in_the_reference_has_to_lean(
+  motion: motion_lib.ReferenceMotion, least: dict[str, float]
+) -> None:
+  trace = _perfect(motion)
+  found = _findings(motion, trace)
+  leans = {key: found[key] for key in found if key.startswith('lean')}
+  assert {key: np.rad2deg(leans[key].least) for key in leans} == (
+    pytest.approx(least)
+  )
+  for finding in leans.values():
+    # Steps of 0.03 s may miss the extreme keyframe by 3 degrees.
+    reached = np.rad2deg(finding.value)
+    assert finding.passed
+    assert -1e-9 <= 2 * np.rad2deg(finding.least) - reached < 3
+  upright = _findings(motion, trace._replace(tilt=0.4 * trace.tilt))
+  assert not any(upright[name].passed for name in leans)
+  other = _findings(motion, trace._replace(tilt=-trace.tilt))
+  assert len(leans) != 1 or not any(other[name].passed for name in leans)
+
+
+def test_no_mode_of_the_library_leans() -> None:
+  for motion in {**library.modes(), **library.four_footed_modes()}.values():
+    names = {criterion.metric for criterion in acceptance.criteria(motion)}
+    assert not any(name.startswith('lean') for name in names), motion.name

@@ -18,6 +18,7 @@ def _trace(cycle: float = 0.5, **fields: Any) -> gait_metrics.Trace:
     'reference': np.zeros((steps, 3)),
     'support': np.zeros(steps),
     'yaw': np.zeros(steps),
+    'tilt': np.zeros((steps, 2)),
     'contact': np.ones((steps, 2)),
     'reference_contact': np.ones((steps, 2)),
   }
@@ -134,6 +135,7 @@ def test_what_follows_the_end_does_not_count() -> None:
     'reference': np.zeros((30, 2, 3)),
     'support': np.zeros((30, 2)),
     'yaw': np.zeros((30, 2)),
+    'tilt': np.zeros((30, 2, 2)),
     'contact': np.ones((30, 2, 2)),
     'reference_contact': np.ones((30, 2, 2)),
   }
@@ -150,3 +152,12 @@ def test_what_follows_the_end_does_not_count() -> None:
 def test_shortest_episodes(length: int) -> None:
   trace = _trace(position=np.zeros((length, 3)))
   assert np.isfinite(list(gait_metrics.metrics(trace).values())).all()
+
+
+def test_lean_is_the_greatest_of_a_cycle() -> None:
+  pitch = np.array([0.1, 0.3, 0.2, -0.1, 0.5, 0.1])
+  trace = _trace(0.3, tilt=np.stack([0 * pitch, pitch], axis=1))
+  assert gait_metrics.lean(trace, 1, 1) == pytest.approx((0.3 + 0.5) / 2)
+  assert gait_metrics.lean(trace, 1, -1) == pytest.approx((-0.1 + 0.1) / 2)
+  assert gait_metrics.lean(trace, 1, 1, every_cycle=False) == 0.5
+  assert gait_metrics.lean(trace, 0, 1) == 0.0

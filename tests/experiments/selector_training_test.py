@@ -38,7 +38,7 @@ def test_resumes_bit_for_bit_and_refuses_other_settings(
   train = selector_training.train
   train(tmp_path / 'whole', decisions=96, **_SMALL)
   train(tmp_path / 'parts', decisions=32, **_SMALL)
-  with pytest.raises(ValueError, match='already holds a run'):
+  with pytest.raises(ValueError, match='already holds a run.* resume=True'):
     train(tmp_path / 'parts', decisions=96, **_SMALL)
   with pytest.raises(ValueError, match='learning_discount=0.97, not 0.9'):
     train(tmp_path / 'parts', resume=True, learning_discount=0.9)

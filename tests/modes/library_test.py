@@ -1,10 +1,13 @@
 """Tests of dmc_multimode.modes.library."""
 
 import dataclasses
+import json
+import pathlib
 
 import numpy as np
 import pytest
 
+from dmc_multimode.modes import files
 from dmc_multimode.modes import library
 from dmc_multimode.modes import reference
 from dmc_multimode.utils import constants
@@ -159,3 +162,16 @@ def test_motions_of_a_robot_of_another_height() -> None:
   assert ledge and expected
   assert (ledge.edge, ledge.height) == (expected.edge / 4, expected.height / 4)
   np.testing.assert_array_equal(launch.contacts, known['launch'].contacts)
+
+
+def test_a_mode_file_in_the_place_of_names(tmp_path: pathlib.Path) -> None:
+  path = tmp_path / 'mine.JSON'
+  walk = files.motion_to_dict(library.modes()['walk_forward'])
+  two = [{**walk, 'name': name, 'mirror': name} for name in ('one', 'other')]
+  path.write_text(json.dumps({'modes': two}))
+  for given in (path, str(path)):
+    found = library.mode_set(given)
+    assert found.names == ('one', 'other')
+    np.testing.assert_array_equal(found.latents, np.eye(2))
+  with pytest.raises(ValueError, match='absent.yaml: cannot be read'):
+    library.mode_set('absent.yaml')

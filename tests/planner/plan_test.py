@@ -39,7 +39,9 @@ def test_schedule() -> None:
   assert plan_lib.from_indices([0, 3, 3, 0], _PI2.names, 0.3) == _PLAN
   names, durations = _PLAN.segments()
   assert names == ['idle', 'launch', 'idle']
-  assert durations == pytest.approx([0.3, 0.6, 0.3])
+  assert durations == [0.3, 0.6, 0.3]
+  # 0.15 + 0.15 + 0.15 is 0.44999999999999996.
+  assert plan_lib.ModePlan(('idle',) * 3, 0.15).segments()[1] == [0.45]
   with pytest.raises(ValueError, match="'hop_forward'.*knows idle, walk"):
     plan_lib.ModePlan(('idle', 'hop_forward'), 0.3).schedule(_PI2)
 
@@ -74,6 +76,8 @@ def test_a_result_is_kept(tmp_path: pathlib.Path) -> None:
     *(_PLAN, plan_lib.Course('flat'), (2.0, 0.0, 0.5), False, 1.5, path),
     *(2.7, 0.01, 0.1, 24, 960, {'planner': 'beam'}),
   )
+  line = 'PlanResult(flat, goal not reached; idle:0.3,launch:0.6,idle:0.3)'
+  assert repr(result) == line
   out = tmp_path / 'new' / 'plan.json'
   result.save(out)
   values = json.loads(out.read_text())

@@ -238,6 +238,25 @@ def test_unknown_name(name: str) -> None:
   with pytest.raises(FileNotFoundError) as caught:
     pretrained.load(name)
   assert '\n' not in str(caught.value)
+  # Of policies alone: the library's encoder is none.
+  _, listed = str(caught.value).split('there are: ')
+  assert tuple(listed.split(', ')) == pretrained.names()
+
+
+def test_observations_of_another_task() -> None:
+  """Those of the mode set `pi2` are not those of the policy of that name."""
+  policy = _policy(privileged_size=3)
+  for length in (_SIZE - 1, _SIZE + 1):
+    with pytest.raises(ValueError, match=r'make_worlds\(policy, ') as caught:
+      policy.select_action(np.zeros((2, length)))
+    assert '\n' not in str(caught.value)
+
+
+def test_it_is_one_line_in_a_terminal() -> None:
+  expected = f'Policy({", ".join(_MODES)}; robot mini_biped, 12 steps)'
+  assert repr(_policy()) == expected
+  bare = dataclasses.replace(_policy(), provenance={})
+  assert repr(bare) == f'Policy({", ".join(_MODES)}; robot mini_biped)'
 
 
 def test_missing_folder_or_files(

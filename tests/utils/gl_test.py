@@ -1,14 +1,18 @@
 """Tests for gl."""
 
 import os
+import pathlib
+import re
 import subprocess
 import sys
 from typing import Iterator
 
 import pytest
 
+import dmc_multimode
 from dmc_multimode.utils import gl
 
+_PACKAGE = pathlib.Path(dmc_multimode.__file__).parent
 # GLVND looks for its EGL vendors there: no libegl in effect.
 _NO_EGL = {'__EGL_VENDOR_LIBRARY_DIRS': '/nonexistent', 'MUJOCO_GL': 'egl'}
 
@@ -118,6 +122,28 @@ def test_first_frame_of_the_suite(before: str, drawn: str | None) -> None:
     assert result.stdout.strip() == drawn.strip(), result.stderr
   else:
     assert result.stderr.splitlines()[-1] == f'OSError: {gl.HELP}'
+
+
+_ROOMS = sorted(
+  {
+    path.relative_to(_PACKAGE).parts[0]
+    for path in _PACKAGE.rglob('*.py')
+    if re.search(r'^(from|import) dm_control\b', path.read_text(), re.M)
+  }
+  # Which draws, and so chooses first.
+  - {'viewer'}
+)
+
+
+@pytest.mark.parametrize('room', _ROOMS)
+def test_nothing_looks_for_a_display_that_is_not_there(room: str) -> None:
+  """Whichever package brings dm_control along, there is no warning."""
+  script = (
+    f'import dmc_multimode.{room}, sys; import dm_control._render;'
+    'print(dm_control._render.BACKEND)'
+  )
+  result = _run({'MUJOCO_GL': '', **_HEADLESS}, '-W', 'error', '-c', script)
+  assert (result.stdout, result.stderr) == ('off\n', '')
 
 
 def test_a_probe_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,11 +11,17 @@ import pytest
 
 from dmc_multimode import pretrained
 from dmc_multimode import viewer
+from dmc_multimode.modes import library
+from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import pushes as pushes_lib
+from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.reaching import problem as reaching
 from dmc_multimode.viewer import captions
+from dmc_multimode.viewer import recording
+from dmc_multimode.viewer import reference_rollout
 from dmc_multimode.viewer import rollout
+from dmc_multimode.viewer import video
 from tests.planner import replay
 
 
@@ -41,7 +47,7 @@ def test_record(tmp_path: pathlib.Path) -> None:
   first, second = made[0].outcomes
   assert (first.mode, first.cause, made[0].steps) == ('walk_forward', 'none', 6)
   assert str(second).startswith('idle: survived, mean speed')
-  assert [outcome.mode for outcome in made[2].outcomes] == ['idle', 'idle']
+  assert [outcome.mode for outcome in made[2].outcomes] == ['idle']
 
 
 @pytest.mark.gl
@@ -212,3 +218,106 @@ def test_a_notebook_shows_the_film(tmp_path: pathlib.Path) -> None:
     content = re.search(f'data:{kind};base64,([^"]*)"', made._repr_html_())
     assert content
     assert base64.b64decode(content[1]) == made.out.read_bytes()
+
+
+def test_a_film_of_a_plan_ends_when_the_robot_has_come_to_rest() -> None:
+  """However long the plan rests: 1.5 s, of which it takes some to stand."""
+  modes = library.mode_set('quickstart')
+  plan = lambda names, *pushes: recording._planned(
+    plan_lib.PlanFile(
+      plan_lib.ModePlan(names, 0.3), plan_lib.Course('flat', pushes=pushes)
+    ),
+    modes,
+  )
+  walk = ('walk_forward',) * 4
+  ends = {'modes': ('walk_forward', 'idle'), 'durations': (1.2, plan_lib.REST)}
+  for names in (walk, (*walk, 'idle'), walk + ('idle',) * 20):
+    found = plan(names)
+    assert {key: found[key] for key in ends} == ends
+  # A push in the rest is seen, and what follows it.
+  late = pushes_lib.Push(3.0, (0.5, 0.0, 0.0))
+  found = plan(walk + ('idle',) * 20, late)
+  assert found['durations'] == pytest.approx((1.2, 3.0 - 1.2 + plan_lib.REST))
+  assert plan(('idle',) * 9)['modes'] == ('idle',)
+
+
+_BOW = """
+name: bow
+kind: transient
+duration: 0.6
+keyframes:
+  - {phase: 0.0, position: [0, 0, 0.5]}
+  - {phase: 0.5, position: [0.1, 0, 0.4], euler: [0, 40, 0]}
+  - {phase: 1.0, position: [0, 0, 0.5]}
+"""
+
+
+@pytest.fixture
+def bow(tmp_path: pathlib.Path) -> pathlib.Path:
+  """A mode file."""
+  path = tmp_path / 'bow.yaml'
+  path.write_text(_BOW)
+  return path
+
+
+def test_a_reference_goes_where_its_keyframes_are(bow: pathlib.Path) -> None:
+  modes = library.mode_set(bow)
+  shown = reference_rollout.Reference(
+    modes, task_config.ImitationConfig(feasible_references=False)
+  )
+  roll = reference_rollout.ReferenceRollout(
+    shown, rollout.RolloutConfig(('bow',), (0.9,))
+  )
+  physics = roll.start()
+  np.testing.assert_allclose(physics.data.qpos[:3], [0, 0, 0.5], atol=1e-9)
+  steps, angles = [], []
+  for step in roll.steps():
+    steps.append(step)
+    angles.append(motion_lib.tilt(physics.data.qpos[3:7])[1])
+  assert len(steps) == 30 and {step.mode for step in steps} == {'bow'}
+  np.testing.assert_allclose(steps[9].position, [0.1, 0, 0.4], atol=1e-9)
+  np.testing.assert_allclose(np.degrees(angles[9]), 40.0)
+  for step in steps[19:]:  # It holds its last pose.
+    np.testing.assert_allclose(step.position, [0, 0, 0.5], atol=1e-9)
+  assert steps[9].time == pytest.approx(0.3)
+
+
+def test_a_reference_goes_on_from_where_the_one_before_ends() -> None:
+  modes = library.mode_set('walk_forward,launch')
+  shown = reference_rollout.Reference(
+    modes, task_config.ImitationConfig(feasible_references=False)
+  )
+  roll = reference_rollout.ReferenceRollout(
+    shown, rollout.RolloutConfig(('walk_forward', 'launch'), (1.2, 1.2))
+  )
+  roll.start()
+  steps = list(roll.steps())
+  assert steps[39].position[0] == pytest.approx(2 * 0.36)
+  # Onto the block that the mode asks for.
+  end = steps[-1].position
+  np.testing.assert_allclose(end, [0.72 + 0.6, 0.0, 0.9], atol=1e-6)
+  assert steps[-1].height == pytest.approx(0.5)
+
+
+@pytest.mark.gl
+def test_a_film_of_a_mode_file_without_a_policy(
+  bow: pathlib.Path, tmp_path: pathlib.Path
+) -> None:
+  small = viewer.RecordingConfig(width=64, height=64)
+  out = tmp_path / 'bow.mp4'
+  record = lambda **more: viewer.record(
+    reference=bow, out=out, config=small, quiet=True, **more
+  )
+  made = record()  # Two cycles.
+  assert [outcome.mode for outcome in made.outcomes] == ['bow']
+  assert made.steps == 40
+  frames = np.array(list(video.read_frames(out)), dtype=float)
+  assert np.abs(frames[0] - frames[9])[20:50].mean() > 1.0  # It moves.
+  with pytest.raises(ValueError, match="Unknown mode 'idle'"):
+    record(schedule='idle:1')
+  with pytest.raises(ValueError, match='no plan'):
+    record(plan='plan.json')
+  neither: dict[str, Any] = {}
+  for wrong in (neither, {'policy': 'pi2', 'reference': bow}):
+    with pytest.raises(ValueError, match='a policy or a reference'):
+      viewer.record(schedule='idle:1', **wrong)

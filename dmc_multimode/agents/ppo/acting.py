@@ -118,8 +118,8 @@ class FeedForwardActor:
       if lacking:
         raise ValueError(
           f'the policy observes {lacking[0]!r}, which this environment does '
-          'not show: build the environment with the task of the policy '
-          '(`policy.config`).'
+          'not show: build the environment with the task of the policy: '
+          'make_task(policy.mode_set, config=policy.config).'
         )
       observation = {name: observation[name] for name in self._parts}
     flat = np.concatenate([np.ravel(part) for part in observation.values()])

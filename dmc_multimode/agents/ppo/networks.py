@@ -218,7 +218,8 @@ class ActorCritic(nn.Module):
       more = f', or {size + self.privileged_size} with the privileged ones'
       raise ValueError(
         f'an observation has {size} numbers'
-        f'{more if self.privileged_size else ""}, got {length}'
+        f'{more if self.privileged_size else ""}, got {length}: worlds of this '
+        "policy are make_worlds(policy, ...), those of a name are a mode set's"
       )
     seen = observation[..., : self.observation_size]
     return self.policy(self.normaliser(seen))

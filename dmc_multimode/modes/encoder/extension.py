@@ -154,7 +154,7 @@ class _Extension:
     metres = (error.detach() * network.feature_scale)[..., autoencoder.POSITION]
     first, second = self._pairs
     distances = (latents[first] - latents[second]).norm(dim=1)
-    relative = (distances / distances.mean())[self._new_pairs]
+    relative = encoder_training.relative(distances)[self._new_pairs]
     least = encoder_training.HINGE * self._config.min_separation
     loss = (
       batch.mean(error.square().sum(dim=-1)).mean()

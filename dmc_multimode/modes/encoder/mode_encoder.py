@@ -77,6 +77,10 @@ class ModeEncoder:
   motions: tuple[motion_lib.ReferenceMotion, ...]
   network: autoencoder.Autoencoder
 
+  def __repr__(self) -> str:
+    """Returns one line: the modes."""
+    return f'ModeEncoder({", ".join(motion.name for motion in self.motions)})'
+
   def encode(self, motions: Sequence[motion_lib.ReferenceMotion]) -> np.ndarray:
     """Returns the latents of any motions, float32, [N, n_m].
 

@@ -29,11 +29,15 @@ from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes.encoder import mode_encoder
 from dmc_multimode.modes.encoder import network as autoencoder
 
-_MIN_SCALE = 1e-6  # A feature or latent with less deviation counts as constant.
+_MIN_SCALE = 1e-6  # A feature with less than twice this counts as constant.
+# A latent likewise: standardised, its deviation would be the rounding's.
+_MIN_LATENT_SCALE = 1e-3
 _CONSTANT_FEATURE_SCALE = 0.1  # Metres: scale of a constant feature.
 SAFETY = 0.98  # Margin of tolerances, for rounding on other machines.
 HINGE = 1.6  # Modes repel up to this multiple of the minimum separation.
 MAX_GRADIENT_NORM = 1.0
+# Of the mean distance: that of latents with unit variance is larger.
+_LEAST_MEAN = 1.0
 
 
 class ConvergenceError(ValueError):
@@ -47,7 +51,8 @@ class Progress:
   Attributes:
     epoch: number of passes over the set so far.
     worst_rmse: largest RMSE of the trunk position over the modes, metres.
-    separation: smallest over mean distance between two modes' latents.
+    separation: smallest over mean distance between two modes' latents; see
+      `relative`.
   """
 
   epoch: int
@@ -174,12 +179,14 @@ def _set_feature_statistics(
   network.feature_scale.copy_(_scale(steps, _CONSTANT_FEATURE_SCALE))
 
 
-def _scale(values: torch.Tensor, constant: float) -> torch.Tensor:
-  """Returns the deviation of each column, or `constant` for a constant one."""
+def _scale(
+  values: torch.Tensor, constant: float, least: float = 2 * _MIN_SCALE
+) -> torch.Tensor:
+  """Returns each column's deviation, or `constant` if it is at most `least`."""
   centred = values - values.mean(dim=0)
   # Inside the root, for a finite gradient of constant columns.
   deviation = (centred.square().mean(dim=0) + _MIN_SCALE**2).sqrt()
-  return torch.where(deviation > 2 * _MIN_SCALE, deviation, constant)
+  return torch.where(deviation > least, deviation, constant)
 
 
 def _evaluate(
@@ -193,7 +200,7 @@ def _evaluate(
   """
   target = batch.standardised(network)
   raw = network.encode(target, batch.last)
-  mean, scale = raw.mean(dim=0), _scale(raw, 1.0)
+  mean, scale = raw.mean(dim=0), _scale(raw, 1.0, _MIN_LATENT_SCALE)
   network.latent_mean.copy_(mean.detach())
   network.latent_scale.copy_(scale.detach())
   latents = (raw - mean) / scale
@@ -204,9 +211,21 @@ def _evaluate(
   if len(latents) == 1:  # No distances.
     return loss, rmse, 1.0
   distances = torch.pdist(latents)
-  relative = distances / distances.mean()
-  hinge = torch.relu(HINGE * config.min_separation - relative)
-  return loss + hinge.square().sum(), rmse, relative.min().item()
+  apart = relative(distances)
+  hinge = torch.relu(HINGE * config.min_separation - apart)
+  return loss + hinge.square().sum(), rmse, apart.min().item()
+
+
+def relative(distances: torch.Tensor) -> torch.Tensor:
+  """Returns the distances between latents over their mean, or 1 if it is less.
+
+  Two latents that are as good as equal would else be apart by their mean
+  distance.
+
+  Args:
+    distances: of all pairs of modes.
+  """
+  return distances / distances.mean().clamp(min=_LEAST_MEAN)
 
 
 def _converged(report: Progress, config: mode_encoder.EncoderConfig) -> bool:

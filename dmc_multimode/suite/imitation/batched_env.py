@@ -577,7 +577,8 @@ class BatchedImitation:
 
     position: of the trunk, world metres, [B, 3]; reference: likewise; support:
     height of the plane under the trunk, metres, [B]; yaw: of the trunk in the
-    world, radians, [B]; contact: feet on the ground, [B, F];
+    world, radians, [B]; tilt: its roll and pitch, radians, [B, 2], see
+    `motion.tilt`; contact: feet on the ground, [B, F];
     reference_contact: likewise, zero where the mode has none; mode: index, [B];
     phase: in [0, 1], [B].
     """
@@ -589,6 +590,7 @@ class BatchedImitation:
       'reference': reference.position,
       'support': self.core.support(position[:, 0]),
       'yaw': motion_lib.yaw(self.qpos[:, 3:7]),
+      'tilt': motion_lib.tilt(self.qpos[:, 3:7]),
       'contact': self.feet_contact(),
       'reference_contact': reference.contact,
       'mode': tracked.mode.copy(),

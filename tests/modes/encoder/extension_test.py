@@ -70,6 +70,17 @@ def test_old_latents_stay_to_the_bit_and_the_new_mode_is_told_apart(
   assert np.sqrt(squares.mean()) > _ROUGH.max_rmse
 
 
+def test_a_second_mode_that_is_as_the_only_one_is_refused() -> None:
+  """Of one pair, the smallest distance is always the mean."""
+  idle = library.modes()['idle']
+  config = dataclasses.replace(_ROUGH, max_epochs=20)
+  alone = encoder_training.train([idle], config)
+  wait = dataclasses.replace(idle, name='wait', mirror='', duration=0.9)
+  held = mode_set_lib.ModeSet((idle,), alone.codebook())
+  with pytest.raises(encoder_training.ConvergenceError, match='separation 0'):
+    extension.extend(alone, held, [wait])
+
+
 def test_base_stays_as_it_is(base: mode_encoder.ModeEncoder) -> None:
   before = {k: v.clone() for k, v in base.network.state_dict().items()}
   state = torch.get_rng_state()

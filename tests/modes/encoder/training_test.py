@@ -132,6 +132,37 @@ def test_aliased_latents_do_not_pass() -> None:
   assert len(seen) > 1
 
 
+@pytest.mark.parametrize('duration', [0.63, 3.0])
+def test_two_modes_of_one_pose_get_latents_of_their_own(
+  duration: float,
+) -> None:
+  """Not those that rounding tells apart: the encoder has to learn to."""
+  idle = library.modes()['idle']
+  twin = dataclasses.replace(
+    idle, name='wait', mirror='', kind='transient', duration=duration
+  )
+  seen: list[encoder_training.Progress] = []
+  config = mode_encoder.EncoderConfig()
+  trained = encoder_training.train([idle, twin], config, seen.append)
+  # An untrained encoder is precise enough, with latents 2e-6 apart.
+  assert seen[0].worst_rmse < 0.03 and seen[0].separation < 1e-4
+  one, other = trained.codebook().latents
+  assert np.linalg.norm(one - other) > 1.0
+  nudged = trained.network.state_dict()
+  nudged['to_latent.bias'] += 2e-7  # About the rounding of another machine.
+  trained.network.load_state_dict(nudged)
+  np.testing.assert_allclose(
+    trained.codebook().latents, [one, other], atol=0.01
+  )
+
+
+def test_distances_are_relative_to_a_mean_of_one_at_least() -> None:
+  apart = encoder_training.relative(torch.tensor([2.0, 4.0, 6.0]))
+  np.testing.assert_allclose(apart, [0.5, 1.0, 1.5])
+  apart = encoder_training.relative(torch.tensor([0.1, 0.3]))
+  np.testing.assert_allclose(apart, [0.1, 0.3])
+
+
 def test_inaccurate_modes_do_not_pass() -> None:
   seen: list[encoder_training.Progress] = []
   config = mode_encoder.EncoderConfig(max_epochs=3, min_separation=0.0)
