@@ -34,8 +34,14 @@ _ARENA = flags.DEFINE_string(
   f'{", ".join(layouts.NAMES)}; or several, joined by +, one an episode.',
 )
 _SIZES = config_flags.define_sizes()
+_INIT_FROM = config_flags.define_path(
+  'init_from', '', 'Folder of a selector to go on from; from scratch if none.'
+)
 # Fields of `SelectorConfig` that are one flag, and nested configurations.
-_SIMPLE = ('policy', 'arena', 'decisions', 'seed', 'num_worlds', 'threads')
+_SIMPLE = (
+  *('policy', 'arena', 'decisions', 'seed', 'num_worlds', 'threads'),
+  'init_from',
+)
 _PARTS = ('learning', 'task')
 
 

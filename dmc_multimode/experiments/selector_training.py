@@ -22,6 +22,7 @@ from dmc_multimode.agents.ppo import losses
 from dmc_multimode.experiments import config as run_config
 from dmc_multimode.experiments import signals
 from dmc_multimode.planner import selector as selector_lib
+from dmc_multimode.planner import steering
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.reaching import environment as reaching_env
 from dmc_multimode.suite.reaching import sensing
@@ -109,6 +110,8 @@ class SelectorConfig:
     seed: of all randomness.
     num_worlds: number of worlds.
     threads: of the physics.
+    init_from: folder of a selector to go on from, of the same policy; by
+      default training starts from scratch.
     learning: hyperparameters.
     task: worlds and rewards.
   """
@@ -120,6 +123,7 @@ class SelectorConfig:
   seed: config_lib.Count = 0
   num_worlds: config_lib.PositiveInt = 256
   threads: config_lib.PositiveInt = 2
+  init_from: str = ''
   learning: LearningConfig = LearningConfig()
   task: TaskConfig = TaskConfig()
 
@@ -153,8 +157,8 @@ class SelectorTraining:
     """Compiles the worlds.
 
     Raises:
-      FileNotFoundError: there is no such policy.
-      ValueError: a setting is wrong.
+      FileNotFoundError: there is no such policy, or selector to go on from.
+      ValueError: a setting is wrong, or that selector is of another policy.
     """
     self._config = config
     self._learning, self._task = config.learning, config.task
@@ -182,6 +186,15 @@ class SelectorTraining:
         len(self.worlds.mode_names),
         config.learning.hidden_sizes,
       )
+    if config.init_from:
+      start = selector_lib.load(config.init_from)
+      steering.check(start, self.worlds.mode_names, self.worlds.layout)
+      if start.hidden_sizes != config.learning.hidden_sizes:
+        raise ValueError(
+          f'The selector in {config.init_from} has hidden_sizes='
+          f'{start.hidden_sizes}, not {config.learning.hidden_sizes}.'
+        )
+      self.network.load_state_dict(start.network.state_dict())
     self._adam = torch.optim.Adam(self.network.parameters(), eps=1e-5)
     self._generator = torch.Generator().manual_seed(config.seed + 2)
     self._goal = self.worlds.part('goal')

@@ -86,6 +86,27 @@ def _trained(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
   return folder / 'selector'
 
 
+def test_goes_on_from_a_selector(trained: pathlib.Path) -> None:
+  config = selector_training.SelectorConfig(
+    policy='quickstart',
+    arena='gap',
+    num_worlds=1,
+    threads=1,
+    init_from=str(trained),
+    learning=selector_training.LearningConfig(hidden_sizes=(8,)),
+  )
+  found = selector_training.SelectorTraining(config).selector()
+  expected = selector_lib.load(trained).network.state_dict()
+  for name, value in found.network.state_dict().items():
+    np.testing.assert_array_equal(value, expected[name], name)
+  for changes, message in (
+    ({'learning': selector_training.LearningConfig()}, r'\(8,\), not \(128,'),
+    ({'policy': 'unimodal_walk'}, 'made for the policy quickstart'),
+  ):
+    with pytest.raises(ValueError, match=message):
+      selector_training.SelectorTraining(dataclasses.replace(config, **changes))
+
+
 def test_what_it_commands_is_a_plan(trained: pathlib.Path) -> None:
   config = steering.SteeringConfig(str(trained))
   found = planner.solve('quickstart', 'gap', planner=config, quiet=True)
