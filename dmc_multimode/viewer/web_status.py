@@ -28,7 +28,7 @@ def status(
     f'{_running(state.running)}</b>{_source(state, session)}',
     f'trunk z {step.position[2]:.2f} m, {step.height:.2f} m over the ground; '
     f'{step.speed:.2f} m/s; reward {step.reward:.2f}',
-    f'up for {survival.up:.0f} s, {survival.falls} falls, '
+    f'up for {survival.up:.0f} s, falls: {survival.falls}, '
     f'{survival.falls_per_minute:.1f} a minute',
   ]
   if state.searching:
