@@ -16,6 +16,8 @@ from dmc_multimode.evaluation import task_summary
 from dmc_multimode.experiments import config as run_config
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import mode_set as mode_set_lib
+from dmc_multimode.planner import selector as selector_lib
+from dmc_multimode.planner import steering
 from dmc_multimode.pretrained import folder as folder_lib
 from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.suite.imitation import config as task_config
@@ -38,6 +40,7 @@ class _Policy(NamedTuple):
   run: run_config.RunConfig
   provenance: Mapping[str, Any]
   metrics: Mapping[str, Any]
+  selector: Mapping[str, Any] | None
 
   @property
   def robot(self) -> str:
@@ -51,7 +54,10 @@ class _Policy(NamedTuple):
 
 
 def card(
-  name: str, description: Mapping[str, Any], metrics: Mapping[str, Any]
+  name: str,
+  description: Mapping[str, Any],
+  metrics: Mapping[str, Any],
+  selector: Mapping[str, Any] | None = None,
 ) -> str:
   """Returns the card of a shipped policy, in Markdown.
 
@@ -59,6 +65,7 @@ def card(
     name: of the policy.
     description: content of its policy.json.
     metrics: content of its metrics.json.
+    selector: content of its selector's selector.json, if it has one.
 
   Raises:
     KeyError, ValueError: the contents are not those of a shipped policy.
@@ -74,6 +81,7 @@ def card(
     run_config.from_dict(description['provenance']['run']),
     description['provenance'],
     metrics,
+    selector,
   )
   parts = (
     _introduction,
@@ -82,6 +90,7 @@ def card(
     _acceptance,
     _motion,
     _training,
+    _selector,
     _limits,
     _licence,
   )
@@ -274,6 +283,25 @@ def command(policy: _Policy) -> Iterator[str]:
       yield f'--{name}={shlex.quote(_text(other))}'
 
 
+def _selector(policy: _Policy) -> Iterator[str]:
+  if policy.selector is None:
+    return
+  provenance = policy.selector['provenance']
+  training = provenance['training']
+  tracks = ' or '.join(training['arena'].split('+'))
+  yield '## Selector'
+  yield ''
+  yield (
+    'A network beside it sees the ground ahead and commands the modes, every '
+    f'{policy.selector["knot_duration"]:g} s (`plan --planner=selector`; it '
+    'guides `--planner=guided`, too). It learned by PPO from '
+    f'{provenance["decisions"]:,} choices on tracks of {tracks}, seed '
+    f'{training["seed"]}, pushed by up to '
+    f'{training["task"]["push_speed"]:g} m/s.'
+  )
+  yield ''
+
+
 def _text(value: Any) -> str:
   """Returns a value as a flag takes it."""
   if isinstance(value, bool):
@@ -366,10 +394,12 @@ def _table(
 def read(name: str) -> str:
   """Returns the card of a shipped policy, from the files in its folder."""
   folder = folder_lib.find(name)
+  beside = folder / steering.BESIDE / selector_lib.DESCRIPTION_FILE
   return card(
     name,
     folder_lib.read_description(folder),
     folder_lib.read_json(folder / policy_lib.METRICS_FILE),
+    folder_lib.read_json(beside) if beside.is_file() else None,
   )
 
 

@@ -144,6 +144,7 @@ def ship_selector(run: pathlib.Path, name: str) -> pathlib.Path:
   place = shipped_folder(name) / steering.BESIDE
   found.save(place)
   files_lib.write(place / TRAINING_FILE, curves)
+  files_lib.write(place.parent / cards.CARD_FILE, cards.read(name).encode())
   return place
 
 

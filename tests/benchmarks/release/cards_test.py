@@ -39,6 +39,7 @@ def test_parts() -> None:
     'Acceptance criteria',
     'Motion',
     'Training',
+    'Selector',
     'Limits of use',
     'Licence',
   ]

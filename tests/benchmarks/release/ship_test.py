@@ -101,7 +101,8 @@ def test_all_that_is_shipped(
   ship.main(['ship'])
   names = {path.name for path in out.iterdir()}
   assert names == {path.name for path in shipped.iterdir() if path.is_file()}
-  for name in names - {'training.csv'}:
+  # A policy that is shipped anew has no selector yet, and its card none.
+  for name in names - {'training.csv', 'README.md'}:
     assert (out / name).read_bytes() == (shipped / name).read_bytes(), name
 
 
