@@ -71,5 +71,6 @@ def test_fallen_robots_go_on_from_those_with_the_best_prospects() -> None:
 def test_a_budget_ends_it_in_mid_search() -> None:
   found = dmm.plan('pi2', 'parkour', seed=1, quiet=True, seconds=0.2)
   assert found.origin['planner'] == 'guided'
-  assert found.solve_seconds < 2.0
-  assert len(found.plan.modes) == reaching.random_problem(1, 'parkour').knots
+  knots = reaching.random_problem(1, 'parkour').knots
+  assert found.rollouts < knots * guided_search.GuidedConfig().samples / 2
+  assert len(found.plan.modes) == knots
