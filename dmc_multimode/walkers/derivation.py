@@ -142,7 +142,8 @@ def _joints(model: mujoco.MjModel, robot: robot_lib.Robot) -> np.ndarray:
     low, high = model.jnt_range[joint]
     if not (model.jnt_limited[joint] and low < high):
       raise ValueError(
-        f'the joint {name!r} has no limits: give it a range in the model.'
+        f'the joint {name!r} has no limits: give it a range in the model, or '
+        'declare `ranges`.'
       )
     angle = robot.declaration.pose.get(name, 0.0)
     if not low <= angle <= high:
