@@ -4,12 +4,16 @@ r"""Checks a robot's declaration: compiles, mirrors, stands and drops it.
     --picture=my_robot.png
 
 draws its stance, with the feet and the axes of their sites and the trunk, and
-prints all that follows from the declaration and its model, and ends with exit
-code 2 and one line if something is wrong. No policy balances it here: two feet
-stand for a moment, and may fall when they are dropped. See docs/ROBOTS.md.
+prints all that follows from the declaration and its model. It warns of servos
+that are unlike those of the robots that come along, and ends with exit code 2
+and one line if something is wrong. No policy balances it here: two feet stand
+for a moment, and may fall when they are dropped. See docs/ROBOTS.md.
 """
 
+import sys
 from typing import Iterator, Sequence, TYPE_CHECKING
+
+import numpy as np
 
 from dmc_multimode.bin import app
 from dmc_multimode.bin import flags as config_flags
@@ -30,13 +34,22 @@ _PICTURE = config_flags.define_path(
   'picture', None, 'PNG file to write, of the stance; none by default.'
 )
 
+# Of the robots that come along, and a little more: limit / stiffness, radians,
+# and damping / stiffness, seconds.
+_SCALES = (0.4, 1.2)
+_DAMPINGS = (1 / 60, 1 / 8)
+_SLACK = 1e-6  # Of these: some robots are at their ends.
+
 
 def rows(robot: 'robot_lib.Robot') -> Iterator[tuple[str, str]]:
   """Yields names and values of a robot, as text with units."""
   derived = robot.derived
   yield 'robot', f'{robot.name}, hash {robot.digest[:12]}'
   yield 'mass', f'{derived.mass:.3g} kg'
-  yield 'standing height', f'{derived.stand_height:g} m ({robot.size:.3g})'
+  yield (
+    'standing height',
+    f"{derived.stand_height:g} m, {robot.size:.3g} of the mini biped's",
+  )
   yield 'leg length', f'{derived.leg_length:g} m'
   yield 'stance width', f'{derived.stance_width:g} m'
   yield 'left and right differ', f'{derived.mirror.asymmetry:.1g}'
@@ -49,9 +62,12 @@ def rows(robot: 'robot_lib.Robot') -> Iterator[tuple[str, str]]:
 
 
 def joint_rows(robot: 'robot_lib.Robot') -> Iterator[tuple[str, ...]]:
-  """Yields a head, and a row for each joint, of text; radians."""
+  """Yields a head, and a row for each joint, of text; radians, Nm and s."""
   derived, mirror = robot.derived, robot.derived.mirror
-  yield 'joint', 'range', 'pose', 'action', 'standing', 'scale', 'mirror'
+  yield (
+    *('joint', 'range', 'pose', 'action', 'standing', 'stiffness', 'limit'),
+    *('scale', 'damping', 'mirror'),
+  )
   span = lambda bounds: f'{bounds[0]:+.2f} {bounds[1]:+.2f}'
   for i, name in enumerate(robot.joints):
     sign = '-' if mirror.joint_signs[i] < 0 else ''
@@ -61,9 +77,30 @@ def joint_rows(robot: 'robot_lib.Robot') -> Iterator[tuple[str, ...]]:
       f'{derived.pose[i]:+.2f}',
       span(derived.action_bounds[:, i]),
       f'{derived.standing_action[i]:+.2f}',
+      f'{derived.stiffness[i]:g}',
+      f'{derived.stiffness[i] * derived.action_scale[i]:.3g}',
       f'{derived.action_scale[i]:.2f}',
+      f'{derived.damping[i]:.3g}',
       sign + robot.joints[mirror.joint_order[i]],
     )
+
+
+def unusual(robot: 'robot_lib.Robot') -> Iterator[str]:
+  """Yields lines on servos unlike those of the robots that come along."""
+  derived = robot.derived
+  for what, values, (low, high) in (
+    ('limit / stiffness', derived.action_scale, _SCALES),
+    ('damping / stiffness', derived.damping / derived.stiffness, _DAMPINGS),
+  ):
+    odd = (values < low - _SLACK) | (values > high + _SLACK)
+    if odd.any():
+      found = (
+        f'{values[i]:.2g} of {robot.joints[i]}' for i in np.where(odd)[0]
+      )
+      yield (
+        f'warning: {what} is {low:.2g} to {high:.3g} of robots that come '
+        f'along, and here {", ".join(found)}'
+      )
 
 
 def _show(table: Sequence[Sequence[str]]) -> None:
@@ -102,6 +139,12 @@ def main(argv: Sequence[str]) -> None:
   _show(list(rows(robot)))
   print()
   _show(list(joint_rows(robot)))
+  print(
+    'scale: limit / stiffness, radians from joint to target that take the '
+    "whole torque; damping: the servo's and the joint's own"
+  )
+  for line in unusual(robot):
+    print(line, file=sys.stderr)
   if out:
     stance.write(robot, out)
   print()

@@ -13,6 +13,7 @@ writes out/mini_biped_block.xml, which any MuJoCo program opens. See
 docs/DEPLOY.md, and examples/deploy_mujoco.py, which runs the one in the other.
 """
 
+import itertools
 import pathlib
 from typing import Sequence
 
@@ -78,10 +79,9 @@ def main(argv: Sequence[str]) -> None:
   """Checks the flags and writes; `argv` holds no flags."""
   del argv
   kind = _FORMAT.value
-  for other, names in _OF.items():
-    for name in names:
-      if other != kind and flags.FLAGS[name].present:
-        raise ValueError(f'--{name} says nothing of --format={kind}.')
+  for name in itertools.chain(*_OF.values()):
+    if name not in _OF[kind] and flags.FLAGS[name].present:
+      raise ValueError(f'--{name} says nothing of --format={kind}.')
   check, write, what = {
     'onnx': (files.output_file, _write_policy, 'FILE.onnx'),
     'mjcf': (files.output_folder, _write_model, 'FOLDER'),

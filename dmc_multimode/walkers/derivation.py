@@ -44,6 +44,8 @@ class Derived:
     action_bounds: lower and upper, radians, [2, J].
     action_scale: distance of target and joint that takes the whole torque,
       radians, [J]; infinite without a limit.
+    stiffness: of the servos, Nm/rad, [J].
+    damping: of the servos and of the joints themselves together, Nm s/rad, [J].
     standing_action: targets that hold the standing pose against gravity,
       radians, [J].
     mirror: exchange of left and right.
@@ -61,6 +63,8 @@ class Derived:
   joint_limits: np.ndarray
   action_bounds: np.ndarray
   action_scale: np.ndarray
+  stiffness: np.ndarray
+  damping: np.ndarray
   standing_action: np.ndarray
   mirror: mirroring.Mirror
   trunk_size: np.ndarray
@@ -122,6 +126,9 @@ def derive(robot: robot_lib.Robot) -> Derived:
     joint_limits=limits,
     action_bounds=_action_bounds(model, robot, limits),
     action_scale=_action_scale(model),
+    stiffness=model.actuator_gainprm[:, 0].copy(),
+    damping=model.dof_damping[model.jnt_dofadr[stance.joints]]
+    - model.actuator_biasprm[:, 2],
     standing_action=_standing_action(stance, robot),
     mirror=mirror,
     trunk_size=_trunk_size(stance),
@@ -142,7 +149,8 @@ def _joints(model: mujoco.MjModel, robot: robot_lib.Robot) -> np.ndarray:
     low, high = model.jnt_range[joint]
     if not (model.jnt_limited[joint] and low < high):
       raise ValueError(
-        f'the joint {name!r} has no limits: give it a range in the model.'
+        f'the joint {name!r} has no limits: give it a range in the model, or '
+        'declare `ranges`.'
       )
     angle = robot.declaration.pose.get(name, 0.0)
     if not low <= angle <= high:

@@ -8,6 +8,8 @@
     pose: {left_knee: 0.4, right_knee: 0.4}  # radians; 0 for the others
     servos: {stiffness: 30, damping: 0.5, limit: 30}  # or the model's own
     armature: 0.003                # kg m^2; or the model's own
+    ranges: {left_hip: [-1, 1]}    # radians, of joints without one in the model
+    visuals: false                 # leaves out what is for the eye alone
     control_timestep: 0.03         # seconds
 
 The model may also be in an installed package, `package:NAME/PATH`: then files
@@ -91,6 +93,10 @@ class Declaration:
       those that it leaves out.
     servos: of the joints; None for the model's own position actuators.
     armature: of each joint, kg m^2; None for the model's own.
+    ranges: lower and upper limits, radians (metres of slides), of joints whose
+      model has none; no others, for a model knows what its joints bear.
+    visuals: false leaves out geoms that touch nothing, and meshes that only
+      they have.
     asymmetry: by how much left and right may differ: accelerations of the
       mirror image, in those of the robot; None for not at all.
     control_timestep: period of a policy, seconds.
@@ -106,6 +112,10 @@ class Declaration:
   pose: dict[str, _Angle] = pydantic.Field(default_factory=dict)
   servos: Servos | None = None
   armature: Annotated[float, pydantic.Field(ge=0, le=100.0)] | None = None
+  ranges: dict[str, tuple[_Angle, _Angle]] = pydantic.Field(
+    default_factory=dict
+  )
+  visuals: bool | None = None  # None is true, and none of the hash.
   asymmetry: Annotated[float, pydantic.Field(ge=0, le=0.5)] | None = None
   control_timestep: Annotated[float, pydantic.Field(ge=1e-3, le=0.2)] = (
     constants.CONTROL_TIMESTEP
@@ -123,13 +133,17 @@ class Declaration:
       if len(set(names)) < len(names):
         raise ValueError(f'{field}: a name is given twice')
     self._check_joints('pose', self.pose, complete=False)
+    self._check_joints('ranges', self.ranges, complete=False)
+    for name, (low, high) in self.ranges.items():
+      if low >= high:
+        raise ValueError(f'ranges: {name!r:.80} has {low:g} to {high:g}')
     for field in ('stiffness', 'damping', 'limit') if self.servos else ():
       value = getattr(self.servos, field)
       if isinstance(value, dict):
         self._check_joints(f'servos.{field}', value, complete=True)
 
   def _check_joints(
-    self, field: str, table: Mapping[str, float], complete: bool
+    self, field: str, table: Mapping[str, Any], complete: bool
   ) -> None:
     """Raises ValueError for unknown joints in a table, or missing ones."""
     for name in table:
@@ -319,7 +333,7 @@ def from_dict(values: Mapping[str, Any]) -> Robot:
 def _installed(declaration: Declaration, digest: str) -> Robot:
   """Returns a robot with the model of an installed package."""
   nowhere = pathlib.Path()  # The package has all of the files.
-  model = robot_files.read(nowhere, declaration.model, declaration.trunk)
+  model = _read(nowhere, declaration)
   robot = Robot(declaration, model)
   if robot.digest != digest:
     raise ValueError(
@@ -351,8 +365,17 @@ def _parse(content: bytes, path: pathlib.Path) -> Robot:
     raise ValueError('it is not text in UTF-8') from None
   values, _ = yaml_lines.parse(text, path.suffix.lower() == '.json')
   declaration = config.build(Declaration, values)
-  model = robot_files.read(path.parent, declaration.model, declaration.trunk)
-  return Robot(declaration, model)
+  return Robot(declaration, _read(path.parent, declaration))
+
+
+def _read(folder: pathlib.Path, declaration: Declaration) -> robot_files.Model:
+  """Returns the model of a declaration, from its folder or its package."""
+  return robot_files.read(
+    folder,
+    declaration.model,
+    declaration.trunk,
+    visuals=declaration.visuals is not False,
+  )
 
 
 def _digest(declaration: Declaration, model: robot_files.Model) -> str:

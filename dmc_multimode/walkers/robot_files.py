@@ -7,7 +7,10 @@ belongs to a scene and not to a robot (options, keyframes, floors, lights and
 cameras of the world) is left out: arenas and tasks have their own.
 """
 
+import collections
+import copy
 import importlib.util
+import math
 import pathlib
 import re
 from typing import Iterator, NamedTuple
@@ -63,14 +66,18 @@ class Model(NamedTuple):
 
   Attributes:
     xml: MJCF of the robot alone, without includes.
-    assets: contents of its meshes and textures, by the names in the MJCF.
+    assets: contents of its meshes and textures, by the names in the MJCF:
+      those of the files, or their paths from the folder of such files where
+      others have the same name.
   """
 
   xml: str
   assets: dict[str, bytes]
 
 
-def read(folder: pathlib.Path, name: str, trunk: str) -> Model:
+def read(
+  folder: pathlib.Path, name: str, trunk: str, visuals: bool = True
+) -> Model:
   """Reads a robot's model.
 
   Args:
@@ -78,6 +85,8 @@ def read(folder: pathlib.Path, name: str, trunk: str) -> Model:
       name says.
     name: of the MJCF file in it; its meshes are named from where it is.
     trunk: name of the body that carries the robot.
+    visuals: false leaves out geoms that touch nothing and weigh nothing, and
+      meshes that no other has, which are not read.
 
   Raises:
     ValueError: in one line, a file is missing, outside the folder, too large,
@@ -91,10 +100,12 @@ def read(folder: pathlib.Path, name: str, trunk: str) -> Model:
   root = reader.open(name)
   reader.include(root)
   _check_elements(root)
-  assets = reader.read_assets(root)
   for section in [part for part in root if part.tag not in _KEPT]:
     root.remove(section)
   _leave_scenery(root, trunk)
+  if not visuals:
+    _leave_visuals(root)
+  assets = reader.read_assets(root)
   return Model(ElementTree.tostring(root, encoding='unicode'), assets)
 
 
@@ -157,6 +168,10 @@ def _parsed(text: str, what: str) -> ElementTree.Element:
   return root
 
 
+class _TooLarge(ValueError):
+  """A file is larger than it may be."""
+
+
 class _Reader:
   """Reads the files of one folder, each once."""
 
@@ -171,13 +186,18 @@ class _Reader:
     self._limit = limit
     self._seen: set[pathlib.Path] = set()
 
-  def _content(self, name: str, kind: str, limit: int) -> bytes:
-    """Returns a file's content; `kind` is for the errors."""
+  def _path(self, name: str, kind: str) -> pathlib.Path:
+    """Returns the place of a file; `kind` is for the errors."""
     path = (self._base / name).resolve()
     if not path.is_relative_to(self._folder):
       raise ValueError(
         f'{kind} {name!r:.80} is outside the folder of the robot.'
       )
+    return path
+
+  def _content(self, name: str, kind: str, limit: int) -> bytes:
+    """Returns a file's content; `kind` is for the errors."""
+    path = self._path(name, kind)
     self._seen.add(path)
     if len(self._seen) > _MAX_FILES:
       raise ValueError(f'a robot has at most {_MAX_FILES} files.')
@@ -186,7 +206,7 @@ class _Reader:
     except OSError:
       raise ValueError(f'{kind} {name!r:.80} cannot be read.') from None
     except ValueError:
-      raise ValueError(
+      raise _TooLarge(
         f'{kind} {name!r:.80} is too large: {limit:,} bytes are the most.'
       ) from None
 
@@ -228,8 +248,7 @@ class _Reader:
         value = compiler.attrib.pop(option, None)
         if value is not None:
           folders[option] = value
-    found: dict[str, bytes] = {}
-    rest = self._limit
+    named = []
     for element, attribute in _files(root):
       places = _FOLDERS.get(element.tag, ())
       below = next((folders[place] for place in places if place in folders), '')
@@ -238,14 +257,41 @@ class _Reader:
         raise ValueError(
           f'{element.tag} {str(file)!r:.80} is none of {", ".join(_ASSETS)}.'
         )
-      content = self._content(str(below / file), element.tag, rest)
+      named.append((element, attribute, str(below / file)))
+    contents = self._contents([(name, part.tag) for part, _, name in named])
+    alike = collections.defaultdict(set)  # Contents of files by their names.
+    for name, content in contents.items():
+      alike[pathlib.PurePosixPath(name).name].add(content)
+    found = {}
+    for element, attribute, path in named:
       # Named as it was, for MuJoCo names meshes by their files.
-      name = str(file.name)
-      if found.setdefault(name, content) != content:
-        raise ValueError(f'two files are named {name!r:.80}: rename one.')
-      rest = self._limit - sum(map(len, found.values()))
+      name = pathlib.PurePosixPath(path).name
+      name = name if len(alike[name]) == 1 else path
+      found[name] = contents[path]
       element.set(attribute, name)
     return found
+
+  def _contents(self, named: list[tuple[str, str]]) -> dict[str, bytes]:
+    """Returns the contents of assets by their paths, from these and kinds."""
+    contents: dict[str, bytes] = {}
+    for name, kind in named:
+      rest = self._limit - sum(map(len, contents.values()))
+      try:
+        if name not in contents:
+          contents[name] = self._content(name, kind, rest)
+      except _TooLarge:
+        sizes = {
+          path: path.stat().st_size
+          for path in (self._path(*each) for each in named)
+          if path.is_file()
+        }
+        raise ValueError(
+          f'the meshes and textures are {sum(sizes.values()) / 2**20:.1f} MB '
+          f'in all, and {self._limit / 2**20:g} MB are the most: {name:.80} '
+          'does not fit; visual meshes that collide with nothing may be left '
+          'out (visuals: false).'
+        ) from None
+    return contents
 
 
 def _files(
@@ -304,3 +350,59 @@ def _leave_scenery(root: ElementTree.Element, trunk: str) -> None:
       f'the only body of the world must be the trunk {trunk!r:.80}; the model '
       f'has {", ".join(names)[:200] or "none"}.'
     )
+
+
+def _leave_visuals(root: ElementTree.Element) -> None:
+  """Leaves out geoms that are for the eye alone, and their meshes.
+
+  These touch nothing, are named by no pair or sensor, and make no body's mass.
+  """
+  import mujoco  # Late: all else here does without.
+
+  used = {
+    value
+    for section in root
+    if section.tag not in ('asset', 'default', 'worldbody')
+    for element in section.iter()
+    for value in element.attrib.values()
+  }
+  # Numbered in a copy, for most have no names; MuJoCo knows their classes.
+  numbered = copy.deepcopy(root)
+  for i, (_, geom) in enumerate(_body_geoms(numbered)):
+    geom.set('name', str(i))
+  try:
+    text = ElementTree.tostring(numbered, encoding='unicode')
+    spec = mujoco.MjSpec.from_string(text)
+  except ValueError as error:
+    reason = ' '.join(str(error).split())
+    raise ValueError(f'the model is not MJCF: {reason:.300}') from None
+  kinds = mujoco.mjtInertiaFromGeom
+  inferred = spec.compiler.inertiafromgeom
+  for i, (body, geom) in enumerate(_body_geoms(root)):
+    known = spec.geom(str(i))
+    weighs = inferred == kinds.mjINERTIAFROMGEOM_TRUE or (
+      inferred == kinds.mjINERTIAFROMGEOM_AUTO
+      and not known.parent.explicitinertial
+    )
+    mass = known.density if math.isnan(known.mass) else known.mass
+    touches = known.contype or known.conaffinity
+    if not (touches or weighs and mass or geom.get('name') in used):
+      body.remove(geom)
+  meshes = {geom.get('mesh') for geom in root.iter('geom')}
+  for assets in root.iter('asset'):
+    for mesh in assets.findall('mesh'):
+      stem = pathlib.PurePosixPath(mesh.get('file', '')).stem
+      if mesh.get('name', stem) not in meshes:
+        assets.remove(mesh)
+
+
+def _body_geoms(
+  root: ElementTree.Element,
+) -> list[tuple[ElementTree.Element, ElementTree.Element]]:
+  """Returns the geoms of all bodies, each after its body."""
+  return [
+    (parent, geom)
+    for world in root.iter('worldbody')
+    for parent in world.iter()
+    for geom in parent.findall('geom')
+  ]

