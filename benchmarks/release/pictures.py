@@ -83,6 +83,11 @@ _COMMANDS: Mapping[str, tuple[str, str]] = {
     'benchmarks.paper.aliasing --policy=pi1_21m --policy=pi1_uniform '
     '--modes=idle,leap_left --figures={out}',
   ),
+  'obstacle_sizes.png': (
+    'obstacle_sizes.png',
+    'benchmarks.paper.obstacle_sizes --policy=pi2 --seeds=3 --seconds=6 '
+    '--figure={out}/obstacle_sizes.png',
+  ),
   'switching.png': (
     'switching.png',
     'benchmarks.paper.switching --policy=pi2_paper --before=unimodal_walk '
