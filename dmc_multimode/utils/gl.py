@@ -77,8 +77,9 @@ def choose_backend(probe: Probe = why_not) -> str:
       line that says what to install.
   """
   chosen, taken = os.environ.get(VARIABLE), sys.modules.get(_TAKER)
+  late = getattr(taken, 'Renderer', None) is _make_context
   if chosen:
-    reason = None if taken else probe(chosen)
+    reason = None if taken and not late else probe(chosen)
     if reason is not None:
       raise OSError(f'{VARIABLE}={chosen} cannot draw here ({reason}): {HELP}')
     return chosen

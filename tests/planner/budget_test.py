@@ -16,6 +16,7 @@ from dmc_multimode.planner import problem as problem_lib
 from dmc_multimode.planner import q_learning
 from dmc_multimode.planner import replanning
 from dmc_multimode.planner import solver as solver_lib
+from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.reaching import problem as reaching
 from tests.planner import toy as toy_lib
 
@@ -38,8 +39,9 @@ class _Toy(toy_lib.Toy):
 
   mode_set = _MODE_SET
 
-  def __init__(self, clock: toy_lib.Clock, *args: Any):
+  def __init__(self, clock: toy_lib.Clock, *args: Any, **others: Any):
     config, num_worlds = args[2:4]
+    assert set(others.values()) <= {events.NONE}
     super().__init__(num_worlds, config.knots, config.goal[0], clock)
     self.config = config
     clock.now += _COMPILATION

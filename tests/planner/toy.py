@@ -58,7 +58,8 @@ class Toy:
   def phase(self) -> np.ndarray:
     return np.zeros(self.num_worlds)
 
-  def begin_at(self, other: 'Toy') -> None:
+  def begin_at(self, other: 'Toy', map_error: float = 0.0) -> None:
+    assert not map_error
     self._start = float(other.x[0]), bool(other.alive[0])
     self.knots = other.remaining
     self.reset()

@@ -247,6 +247,8 @@ def test_xml_comes_from_the_package_alone() -> None:
   }
   assert found == {
     ('walkers/robot_walker', 'mjcf.from_xml_string'): 'robot.model.xml',
+    # Read and checked, for what its compiler infers; without assets.
+    ('walkers/robot_files', 'mujoco.MjSpec.from_string'): 'text',
     (
       'walkers/robot_walker',
       'mujoco.MjSpec.from_string',

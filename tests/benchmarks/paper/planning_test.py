@@ -52,4 +52,4 @@ def test_report(benchmark: processes.Binary, tmp_path: pathlib.Path) -> None:
 def test_unknown_planner(benchmark: processes.Binary) -> None:
   done = benchmark('--planners=beam,guess')
   assert done.code == 2, done.stderr
-  assert "'guess' is not one of beam, q_learning" in done.error
+  assert "'guess' is not one of beam, guided, q_learning" in done.error

@@ -30,7 +30,7 @@ from dmc_multimode.utils import schedule as schedules
 from dmc_multimode.walkers import kinematics
 from dmc_multimode.walkers import mini_biped
 
-_MOTIONS = tuple(library.modes().values())
+_MOTIONS = library.resolve('pi_all')
 _NAMES = [motion.name for motion in _MOTIONS]
 _PHASES = 60  # Of each mode, drawn.
 _CORNERS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1)
