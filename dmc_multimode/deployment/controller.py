@@ -26,7 +26,8 @@ class Controller:
   def __init__(self, path: str | os.PathLike[str]):
     """Loads the .onnx file and the .json beside it.
 
-    A mode that stands runs at first, or the first one if there is none.
+    A mode that stands runs at first, or the first one if there is none; it
+    begins where the robot is at the first `act` or `command`.
     """
     path = pathlib.Path(path)
     self.about = json.loads(path.with_suffix('.json').read_text())
@@ -34,7 +35,7 @@ class Controller:
     rests = [m for m in self.about['modes'] if m['kind'] == 'steady']
     self.mode, self.phase = (rests or self.about['modes'])[0], 0.0
     self.heading = 0.0
-    self._anchor, self._pace = np.zeros(2), 1.0
+    self._anchor, self._pace = np.full(2, np.nan), 1.0  # Not begun yet.
     self._action: np.ndarray | None = None
     self._model = onnxruntime.InferenceSession(path)
 
@@ -46,6 +47,7 @@ class Controller:
       place: x and y of the trunk by odometry, metres, [2].
       speed: their rates, m/s, [2].
     """
+    self._begin(place)
     if self.mode['name'] == name:
       return
     self.heading += self._yaw()
@@ -53,6 +55,11 @@ class Controller:
     way = self._way()
     own = speed @ way * self.mode['duration'] / max(way @ way, 1e-9)
     self._pace = float(np.clip(own, 0, 1)) if self.mode['ramps'] else 1.0
+
+  def _begin(self, place: np.ndarray) -> None:
+    """Starts the first mode at a place, unless it has been started."""
+    if np.isnan(self._anchor).any():
+      self._anchor = np.array(place, dtype=float)
 
   def _keys(self, field: str) -> np.ndarray:
     """Returns a field of the mode's keyframes, [K, ...]."""
@@ -124,6 +131,7 @@ class Controller:
           f'{sizes["ground_scan"]} heights of ground_scan.'
         )
       sensed = {**sensed, 'ground_scan': np.clip(scan, -0.6, 0.6)}
+    self._begin(place)
     if self._action is None:
       self._action = sensed['joints_pos']
     angle = 2 * np.pi * self.phase

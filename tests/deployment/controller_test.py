@@ -131,3 +131,24 @@ def test_a_scan_that_lacks_is_said(
   found = session.seen[0, policy.network.observation_size :]
   assert found[0] == found[15] == np.float32(-0.6)
   assert (found[7], found[14]) == (0.0, np.float32(0.6))
+
+
+def test_the_first_mode_begins_where_the_robot_is(
+  tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  """Whether it is commanded or not: odometry may begin anywhere."""
+  for commanded in (False, True):
+    walker, session = _controller(
+      pretrained.load('quickstart'), tmp_path, monkeypatch
+    )
+    place = np.array([2.0, 1.0])
+    robot = np.array([*place, 0.5, 1.0, *np.zeros(13)])
+    sensed = controller_lib.sense(robot, np.zeros(16), 0.0)
+    if commanded:
+      walker.command(walker.mode['name'], place, np.zeros(2))
+    walker.act(place, sensed)
+    np.testing.assert_array_equal(walker.reference(), place)
+    names = [p['name'] for p in walker.about['observation']]
+    sizes = [p['size'] for p in walker.about['observation']]
+    start = sum(sizes[: names.index('displacement')])
+    np.testing.assert_array_equal(session.seen[0, start : start + 2], 0.0)
