@@ -195,19 +195,26 @@ def find_policies() -> Iterator[Finding]:
     advice = f'{error}: pip install --force-reinstall torch mujoco'
     yield Finding('policies', f'cannot be loaded: {error}', advice)
     return
-  damaged = {}
-  for name in names:
+  damaged, here = {}, folder_lib.names(installed=True)
+  for name in here:
     try:
       policy_lib.load(name)
     except (OSError, ValueError) as error:
       damaged[name] = str(error)
   for name, reason in damaged.items():
     yield Finding(f'policy {name}', reason)
-  good = [name for name in names if name not in damaged]
+  elsewhere = [name for name in names if name not in here]
+  if elsewhere:
+    listed = ', '.join(elsewhere)
+    yield Finding(
+      'policies of other robots',
+      f"{listed}: pip install '{_PACKAGE}[robots]'",
+    )
+  good = [name for name in here if name not in damaged]
   advice = f'install {_PACKAGE} again: {_DEMO_POLICY} cannot be loaded'
   yield Finding(
     'policies',
-    f'{len(good)} of {len(names)} load: {", ".join(good)}',
+    f'{len(good)} of {len(here)} load: {", ".join(good)}',
     '' if _DEMO_POLICY in good else advice,
   )
   if _DEMO_FLAGS not in resources.names('flags'):

@@ -142,6 +142,22 @@ def test_policies(monkeypatch: pytest.MonkeyPatch) -> None:
   assert _found(doctor.find_policies)['policies'].advice.startswith('no torch')
 
 
+def test_policies_of_robots_that_are_not_installed(
+  monkeypatch: pytest.MonkeyPatch,
+) -> None:
+  from dmc_multimode.pretrained import policy
+  from dmc_multimode.walkers import robot_files
+
+  monkeypatch.setattr(policy, 'load', lambda name: None)
+  monkeypatch.setattr(
+    robot_files, 'is_here', lambda model: not robot_files.is_packaged(model)
+  )
+  found = _found(doctor.find_policies)
+  text = found['policies of other robots'].text
+  assert 'go1_quickstart' in text and '[robots]' in text
+  assert 'go1_quickstart' not in found['policies'].text
+
+
 def test_folders(
   tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
