@@ -332,6 +332,9 @@ def _action_scale(model: mujoco.MjModel) -> np.ndarray:
   """Returns the distances of targets that take the whole torque, [J]."""
   limited = model.actuator_forcelimited.astype(bool)
   limit = np.where(limited, model.actuator_forcerange[:, 1], np.inf)
+  joints = model.actuator_trnid[:, 0]
+  bounded = model.jnt_actfrclimited[joints].astype(bool)
+  limit[bounded] = np.minimum(limit, model.jnt_actfrcrange[joints, 1])[bounded]
   return limit / model.actuator_gainprm[:, 0]
 
 

@@ -81,6 +81,7 @@ class RobotWalker(legacy_base.Walker):
       # dm_control's `action_spec` ignores default classes, and would bound the
       # actions by 1.
       bounds = robot.derived.action_bounds.T.tolist()
+      _leave_inherited_ranges(self._mjcf_root)
       for actuator, bound in zip(self.actuators, bounds, strict=True):
         actuator.ctrlrange = bound
       self._add_cameras()
@@ -433,6 +434,15 @@ def _parse(root: mjcf.RootElement) -> mujoco.MjSpec:
   return mujoco.MjSpec.from_string(
     root.to_xml_string(), assets=root.get_assets()
   )
+
+
+def _leave_inherited_ranges(root: mjcf.RootElement) -> None:
+  """Removes `inheritrange`, which MuJoCo refuses beside a `ctrlrange`."""
+  defaults = [root.default, *root.default.find_all('default')]
+  servos = [default.position for default in defaults]
+  for servo in (*servos, *root.find_all('actuator')):
+    if servo.inheritrange is not None:
+      del servo.inheritrange
 
 
 def _first_line(error: Exception) -> str:

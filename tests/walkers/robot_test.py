@@ -6,6 +6,7 @@ import shutil
 from typing import Any, Callable
 
 from dm_control import composer
+from dm_control import mjcf
 import mujoco
 import numpy as np
 import pytest
@@ -540,6 +541,26 @@ def test_other_ways_to_say_the_same(
   assert one.mirror[:4] == other.mirror[:4]
   np.testing.assert_allclose(one.sole_depth, other.sole_depth)
   np.testing.assert_allclose(one.standing_action, other.standing_action)
+
+
+def test_servos_that_inherit_the_ranges_of_their_joints(files: _Copy) -> None:
+  """In a class, with limits of the joints: as in models of MuJoCo Menagerie."""
+  files.edit(
+    '<joint damping=".05"/>',
+    '<joint damping=".05" actuatorfrcrange="-12 12"/>'
+    '<position kp="20" kv=".5" inheritrange="1"/>',
+  )
+  servos = ''.join(f'<position joint="{name}"/>' for name in _JOINTS)
+  files.edit('</mujoco>', f'<actuator>{servos}</actuator></mujoco>')
+  files.declare(servos=None)
+  robot = files.load()
+  np.testing.assert_allclose(robot.derived.action_scale, 12 / 20)
+  low, high = robot.derived.action_bounds
+  assert (low[0], high[0]) == (-0.6, 0.6)
+  model = mjcf.Physics.from_mjcf_model(
+    robot_walker.RobotWalker(robot).mjcf_model
+  ).model
+  np.testing.assert_allclose(model.actuator_ctrlrange[0], [-0.6, 0.6])
 
 
 def test_declared_servos_replace_the_models(
