@@ -134,6 +134,7 @@ def test_the_controllers_reference_is_that_of_the_task(
   tracker.reset(one, schedule.single(one), np.zeros(1), np.zeros(1))
   for mode in controller.modes.values():
     mode['ramps'] = bool(known.bank.level[known.index(mode['name'])])
+  controller.command(known.names[0], np.zeros(2), np.zeros(2))
   random = np.random.RandomState(0)
   for step in range(400):
     place, speed = random.standard_normal((2, 1, 3))

@@ -136,7 +136,7 @@ def test_a_scan_that_lacks_is_said(
 def test_the_first_mode_begins_where_the_robot_is(
   tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-  """Whether it is commanded or not: odometry may begin anywhere."""
+  """Odometry may begin anywhere, and the mode be commanded or not."""
   for commanded in (False, True):
     walker, session = _controller(
       pretrained.load('quickstart'), tmp_path, monkeypatch
