@@ -79,6 +79,12 @@ def define_policy() -> flags.FlagHolder[str]:
   return config_flags.define_path('policy', 'pi2', text)
 
 
+def define_selector() -> flags.FlagHolder[str]:
+  """Defines --selector."""
+  text = 'Folder of the selector; the one beside the policy.'
+  return config_flags.define_path('selector', '', text)
+
+
 def define_out() -> flags.FlagHolder[str | None]:
   """Defines --out."""
   return config_flags.define_path('out', None, 'JSON file to write.')

@@ -42,9 +42,7 @@ _SEEDS = flags.DEFINE_integer('seeds', 5, 'Starts on each track.', 1)
 _SECONDS = flags.DEFINE_float(
   'seconds', 10.0, 'Wall-clock budget of a plan, of all its searches together.'
 )
-_SELECTOR = config_flags.define_path(
-  'selector', '', 'Folder of the selector; the one beside the policy.'
-)
+_SELECTOR = common.define_selector()
 _FIGURE = config_flags.define_path('figure', None, 'PNG file to draw to.')
 _OUT = common.define_out()
 

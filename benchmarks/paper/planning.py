@@ -33,7 +33,6 @@ from dmc_multimode import planner as planner_lib
 from dmc_multimode import pretrained
 from dmc_multimode.agents import distributed
 from dmc_multimode.bin import app
-from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.experiments import launch
 from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import guided_search
@@ -62,9 +61,7 @@ _BEAMS = flags.DEFINE_integer(
 _SECONDS = flags.DEFINE_float(
   'seconds', None, 'Wall-clock budget of a beam search; none by default.'
 )
-_SELECTOR = config_flags.define_path(
-  'selector', '', 'Folder of the selector; the one beside the policy.'
-)
+_SELECTOR = common.define_selector()
 _OUT = common.define_out()
 
 _COLUMNS = (

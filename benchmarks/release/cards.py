@@ -297,9 +297,15 @@ def _selector(policy: _Policy) -> Iterator[str]:
     'guides `--planner=guided`, too). It learned by PPO from '
     f'{provenance["decisions"]:,} choices on tracks of {tracks}, seed '
     f'{training["seed"]}, pushed by up to '
-    f'{training["task"]["push_speed"]:g} m/s.'
+    f'{training["task"]["push_speed"]:g} m/s.{_began(training)}'
   )
   yield ''
+
+
+def _began(training: Mapping[str, Any]) -> str:
+  """Returns a sentence on the selector that a training went on from."""
+  start = training.get('init_from')
+  return f' It went on from another: {start}.' if start else ''
 
 
 def _text(value: Any) -> str:

@@ -17,16 +17,13 @@ import tqdm
 from benchmarks import common
 from dmc_multimode import pretrained
 from dmc_multimode.bin import app
-from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.planner import steering
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.utils import files
 from dmc_multimode.viewer import session as session_lib
 
 _POLICY = common.define_policy()
-_SELECTOR = config_flags.define_path(
-  'selector', '', 'Folder of the selector; the one beside the policy.'
-)
+_SELECTOR = common.define_selector()
 _MINUTES = flags.DEFINE_float('minutes', 10.0, 'Of simulated time.', 0.0)
 _DIFFICULTY = flags.DEFINE_float('difficulty', 0.5, 'Of the track.', 0.0, 1.0)
 _PUSH_SPEED = flags.DEFINE_float('push_speed', 0.0, 'Of pushes, m/s.', 0.0)

@@ -30,7 +30,6 @@ import tqdm
 from benchmarks import common
 from dmc_multimode import planner as planner_lib
 from dmc_multimode.bin import app
-from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.planner import solver as solver_lib
 from dmc_multimode.planner import steering
@@ -48,9 +47,7 @@ _REPLAN_EVERY = flags.DEFINE_integer(
 _SECONDS = flags.DEFINE_float(
   'seconds', None, 'Wall-clock budget of each planning; none by default.'
 )
-_SELECTOR = config_flags.define_path(
-  'selector', '', 'Folder of the selector; the one beside the policy.'
-)
+_SELECTOR = common.define_selector()
 _OUT = common.define_out()
 
 _COLUMNS = (

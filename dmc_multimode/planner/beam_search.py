@@ -1,6 +1,5 @@
 """Beam search over modes that copies the worlds' states at the knots."""
 
-import itertools
 from typing import Callable, Iterator, NamedTuple
 
 import numpy as np
@@ -54,10 +53,15 @@ class BeamConfig:
 
   def doubling(self) -> 'Iterator[BeamConfig]':
     """Yields the configs of `escalation`, for as long as there is memory."""
-    for i in itertools.count():
-      yield BeamConfig(self.beams << i, 1)
-      if self.beams << i + 1 > _MOST_BEAMS:
-        return
+    for beams in doublings(self.beams):
+      yield BeamConfig(beams, 1)
+
+
+def doublings(count: int) -> Iterator[int]:
+  """Yields a count of beams or samples and its doubles, up to 4096."""
+  yield count
+  while (count := 2 * count) <= _MOST_BEAMS:
+    yield count
 
 
 class _Front:

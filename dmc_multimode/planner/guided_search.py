@@ -6,7 +6,6 @@ has the best prospects, by the selector's values, as particles are resampled in
 sequential Monte Carlo. The search ends as soon as a robot stands at the goal.
 """
 
-import itertools
 from typing import Callable, Iterator, TYPE_CHECKING
 
 import numpy as np
@@ -19,8 +18,6 @@ from dmc_multimode.utils import config as config_lib
 
 if TYPE_CHECKING:
   from dmc_multimode.planner import selector as selector_lib
-
-_MOST_SAMPLES = 4096  # Like the beams of a beam search.
 
 
 @config_lib.dataclass
@@ -56,10 +53,8 @@ class GuidedConfig:
 
   def doubling(self) -> 'Iterator[GuidedConfig]':
     """Yields configs with ever more samples, for as long as there is memory."""
-    for i in itertools.count():
-      yield GuidedConfig(self.samples << i, 1, self.folder)
-      if self.samples << i + 1 > _MOST_SAMPLES:
-        return
+    for samples in beam_search.doublings(self.samples):
+      yield GuidedConfig(samples, 1, self.folder)
 
 
 def guided_search(

@@ -30,20 +30,29 @@ def names(robot: str | None = None, installed: bool = False) -> tuple[str, ...]:
     folder = resources.path('pretrained', name)
     if not (folder / DESCRIPTION_FILE).is_file():
       continue
-    known, model = _robot(folder)
-    here = not installed or robot_files.is_here(model)
-    if here and robot in (None, known):
-      found.append(name)
+    if robot is not None or installed:
+      known, model = _robot(folder)
+      if installed and not robot_files.is_here(model):
+        continue
+      if robot not in (None, known):
+        continue
+    found.append(name)
   return tuple(found)
 
 
 def _robot(folder: pathlib.Path) -> tuple[str, str]:
-  """Returns the name of a policy's robot, and of its model's file."""
-  task = read_json(folder / DESCRIPTION_FILE).get('task', {})
-  if 'robot' not in task:
+  """Returns the name of a policy's robot, and of its model's file.
+
+  A damaged file counts as the mini biped's: to load it says what is wrong.
+  """
+  try:
+    task = read_json(folder / DESCRIPTION_FILE).get('task', {})
+    if 'robot' not in task:
+      return _MINI_BIPED
+    declaration = task['robot']['declaration']
+    return declaration['name'], declaration['model']
+  except (ValueError, KeyError, TypeError):
     return _MINI_BIPED
-  declaration = task['robot']['declaration']
-  return declaration['name'], declaration['model']
 
 
 def find(policy: str | os.PathLike[str]) -> pathlib.Path:

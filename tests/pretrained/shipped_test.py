@@ -1,5 +1,7 @@
 """The shipped policies still do what their metrics say."""
 
+import pathlib
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from dmc_multimode import pretrained
 from dmc_multimode.agents.ppo import acting
 from dmc_multimode.evaluation import episodes as evaluation_episodes
 from dmc_multimode.modes import schedule
+from dmc_multimode.pretrained import folder as folder_lib
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import config as task_config
@@ -75,3 +78,25 @@ def test_it_runs_in_composer_too(name: str) -> None:
   if walks:
     walked = environment.physics.data.qpos[0]
     assert 0.5 * 2.5 <= walked <= 0.7 * 3.0
+
+
+def test_a_damaged_policy_is_still_named(
+  tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  """And to load it says what is wrong; others know their robots."""
+  texts = {
+    'broken': '{',
+    'other': '{"task": {"robot": {"declaration": '
+    '{"name": "far", "model": "package:nowhere_at_all/far.xml"}}}}',
+  }
+  for name, text in texts.items():
+    (tmp_path / name).mkdir()
+    (tmp_path / name / folder_lib.DESCRIPTION_FILE).write_text(text)
+  monkeypatch.setattr(folder_lib.resources, 'names', lambda kind: [*texts])
+  monkeypatch.setattr(
+    folder_lib.resources, 'path', lambda kind, name: tmp_path / name
+  )
+  assert folder_lib.names() == ('broken', 'other')
+  assert folder_lib.names(installed=True) == ('broken',)
+  assert folder_lib.names('far') == ('other',)
+  assert folder_lib.names('far', installed=True) == ()
