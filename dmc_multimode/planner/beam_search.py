@@ -47,6 +47,30 @@ class BeamConfig:
   beams: config_lib.PositiveInt = 24
   attempts: config_lib.PositiveInt = 3
 
+  @property
+  def description(self) -> str:
+    """What a search is called while it runs."""
+    return f'{self.beams} beams'
+
+  def num_worlds(self, num_modes: int) -> int:
+    """Returns the number of worlds that a search takes."""
+    return self.beams * num_modes
+
+  def rounds(self, knots: int) -> int:
+    """Returns the number of reports of a search over so many knots."""
+    return knots
+
+  def search(
+    self,
+    problem: problem_lib.ReachingProblem,
+    selector: object,
+    report: Callable[[int, float, float], None],
+    stop: Callable[[float], bool],
+  ) -> Solution:
+    """Runs one search; see `beam_search`. It needs no selector."""
+    del selector
+    return beam_search(problem, self, report, stop)
+
   def escalation(self) -> 'list[BeamConfig]':
     """Returns one config per attempt, doubling `beams` each time."""
     return [BeamConfig(self.beams << i, 1) for i in range(self.attempts)]

@@ -41,6 +41,31 @@ class GuidedConfig:
     """Configuration that names the folder of the selector."""
     return steering.SteeringConfig(self.folder)
 
+  @property
+  def description(self) -> str:
+    """What a search is called while it runs."""
+    return f'{self.samples} samples'
+
+  def num_worlds(self, num_modes: int) -> int:
+    """Returns the number of worlds that a search takes."""
+    del num_modes
+    return self.samples
+
+  def rounds(self, knots: int) -> int:
+    """Returns the number of reports of a search over so many knots."""
+    return knots
+
+  def search(
+    self,
+    problem: problem_lib.ReachingProblem,
+    selector: 'selector_lib.Selector | None',
+    report: Callable[[int, float, float], None],
+    stop: Callable[[float], bool],
+  ) -> beam_search.Solution:
+    """Runs one search; see `guided_search`. A `Solver` has its selector."""
+    assert selector is not None
+    return guided_search(problem, selector, report, stop)
+
   def escalation(self) -> 'list[GuidedConfig | beam_search.BeamConfig]':
     """Returns one config per attempt, and those of the beam search."""
     return [

@@ -40,6 +40,32 @@ class QLearningConfig:
   final_epsilon: config_lib.Share = 0.05
   exploration_time: config_lib.NonNegative = 0.6
 
+  @property
+  def description(self) -> str:
+    """What a search is called while it runs."""
+    return f'{self.trials} trials'
+
+  def num_worlds(self, num_modes: int) -> int:
+    """Returns the number of worlds that a search takes."""
+    del num_modes
+    return self.trials
+
+  def rounds(self, knots: int) -> int:
+    """Returns the number of reports of a search over so many knots."""
+    del knots
+    return self.episodes
+
+  def search(
+    self,
+    problem: problem_lib.ReachingProblem,
+    selector: object,
+    report: Callable[[int, float, float], None],
+    stop: object,
+  ) -> beam_search.Solution:
+    """Runs all trials; see `q_learning`. They end with their episodes."""
+    del selector, stop
+    return q_learning(problem, self, report)
+
   def epsilon(self, episode: int) -> float:
     """Returns epsilon in an episode, counted from 0."""
     share = episode / max(self.episodes - 1, 1)

@@ -89,15 +89,6 @@ def default_name(policy: str | os.PathLike[str] | reaching.Policy) -> str:
   return 'beam'
 
 
-def num_worlds(config: SearchConfig, num_modes: int) -> int:
-  """Returns the number of worlds of a planner."""
-  if isinstance(config, beam_search.BeamConfig):
-    return config.beams * num_modes
-  if isinstance(config, guided_search.GuidedConfig):
-    return config.samples
-  return config.trials
-
-
 @config_lib.dataclass
 class _Limit:
   """Checked value of a budget, in seconds."""
@@ -252,7 +243,7 @@ class Solver:
         self._alone.run_knot(np.array([self._alone.rest_mode]))
     tried, rollouts = [] if guess is None else [self._try(guess)], 0
     for planner in self._searches():
-      worlds = num_worlds(planner, len(self._policy.mode_set))
+      worlds = planner.num_worlds(len(self._policy.mode_set))
       least = beam_search.least_work(self._config.knot_duration, worlds)
       if tried and (
         tried[-1].trial.success[0] or self._is_late(budget, worlds * least)
@@ -304,7 +295,7 @@ class Solver:
         self._policy,
         self._make_arena(),
         self._config,
-        num_worlds(planner, len(self._policy.mode_set)),
+        planner.num_worlds(len(self._policy.mode_set)),
         self._num_threads,
       )
     return self._problems[planner]
@@ -326,17 +317,12 @@ class Solver:
       problem = self._problem(planner)
     problem.begin_at(robot, self._map_error)
     began = (self._config.knots - problem.knots) * self._config.knot_duration
-    name, total = _described(planner, problem.knots)
+    name, total = planner.description, planner.rounds(problem.knots)
     tell = lambda *row: report(
       Status(f'{name} from {began:.2f} s', row[0], total, *row[1:])
     )
-    if isinstance(planner, q_learning.QLearningConfig):
-      return q_learning.q_learning(problem, planner, tell)
     stop = self._stopper(problem.num_worlds, budget)
-    if isinstance(planner, beam_search.BeamConfig):
-      return beam_search.beam_search(problem, planner, tell, stop)
-    assert self._selector is not None
-    return guided_search.guided_search(problem, self._selector, tell, stop)
+    return planner.search(problem, self._selector, tell, stop)
 
   def _stopper(
     self, worlds: int, budget: budget_lib.Budget
@@ -395,15 +381,6 @@ class Solver:
     steps = self._alone.control_steps - steps
     if steps:  # A robot that has fallen takes none, and no time.
       self._pace = (self._clock() - began) / steps
-
-
-def _described(config: SearchConfig, knots: int) -> tuple[str, int]:
-  """Returns what a search is called, and its steps."""
-  if isinstance(config, beam_search.BeamConfig):
-    return f'{config.beams} beams', knots
-  if isinstance(config, guided_search.GuidedConfig):
-    return f'{config.samples} samples', knots
-  return f'{config.trials} trials', config.episodes
 
 
 def pack(

@@ -47,7 +47,7 @@ def test_solve(
   assert found.final_speed < 0.15
   distances = np.linalg.norm(found.path[:50] - [0.8, 0.0, 0.5], axis=1)
   assert found.episode_return == pytest.approx(np.exp(-distances).sum())
-  assert found.control_steps >= 50 * solver_lib.num_worlds(planner, 3)
+  assert found.control_steps >= 50 * planner.num_worlds(3)
   assert found.solve_seconds > 0
   total = 5 if isinstance(planner, beam_search.BeamConfig) else 6
   assert [row.done for row in reports] == list(range(1, total + 1))
