@@ -63,6 +63,10 @@ class Outcomes(Protocol):
   def causes(self) -> np.ndarray:
     """Indices of the causes of the ends, 0 for the time limit, [N]."""
 
+  @property
+  def lengths(self) -> np.ndarray:
+    """Lengths in control steps, [N]."""
+
 
 class EpisodeResults(Outcomes, Protocol):
   """Episodes that ended in a step; see `BatchedTimeStep`."""
@@ -70,10 +74,6 @@ class EpisodeResults(Outcomes, Protocol):
   @property
   def worlds(self) -> np.ndarray:
     """Indices of their worlds, [N]."""
-
-  @property
-  def lengths(self) -> np.ndarray:
-    """Lengths in control steps, [N]."""
 
 
 class BatchedTimeStep(Protocol):
@@ -151,6 +151,10 @@ class TrainingEnvironment(BatchedEnvironment, Protocol):
   """
 
   invalid_cause: int
+
+  @property
+  def control_timestep(self) -> float:
+    """Seconds of a control step."""
 
   @property
   def steps(self) -> int:

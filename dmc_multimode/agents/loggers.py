@@ -225,6 +225,7 @@ class ProgressLogger:
     ('MRA', 'mra_modes', '{:.3f}'),
     ('transitions', 'mra_transitions', '{:.3f}'),
     ('survival', 'survival', '{:.3f}'),
+    ('seconds', 'seconds', '{:.1f}'),
     ('lr', 'learning_rate', '{:.1e}'),
     ('std', 'std', '{:.3f}'),
   )

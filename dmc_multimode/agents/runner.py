@@ -77,7 +77,9 @@ class TrainingLoop:
     self._names = mode_names
     self._probabilities = probabilities
     self._communicator = communicator
-    self._returns = statistics.ReturnTracker(len(mode_names))
+    self._returns = statistics.ReturnTracker(
+      len(mode_names), environment.control_timestep
+    )
     self._diverged = statistics.DivergenceCounter()
     self.iterations = 0
     self._observation = torch.from_numpy(environment.reset())

@@ -19,6 +19,7 @@ class Episodes(NamedTuple):
   final: np.ndarray
   returns: np.ndarray
   causes: np.ndarray
+  lengths: np.ndarray
 
 
 class EpisodeTable:
@@ -31,7 +32,10 @@ class EpisodeTable:
   def add(self, time: int, results: core.Outcomes) -> None:
     """Adds the episodes that ended at a time step of the rollout."""
     times = np.full(len(results.initial), time)
-    columns = (results.initial, results.final, results.causes, results.returns)
+    columns = (
+      *(results.initial, results.final, results.causes),
+      *(results.lengths, results.returns),
+    )
     self._rows.append(np.stack((times, *columns), axis=1).astype(np.float64))
 
   def gather(self, communicator: distributed.Communicator) -> Episodes:
@@ -42,48 +46,67 @@ class EpisodeTable:
     mine = torch.from_numpy(np.concatenate(self._rows))
     table = communicator.gather(mine).numpy()
     table = table[np.argsort(table[:, 0], kind='stable')]
-    initial, final, causes = table[:, 1:4].T.astype(np.int64)
-    return Episodes(initial, final, table[:, 4], causes)
+    initial, final, causes, lengths = table[:, 1:5].T.astype(np.int64)
+    return Episodes(initial, final, table[:, 5], causes, lengths)
 
 
 class ReturnTracker:
-  """Running means of normalised return and survival, per transition."""
+  """Running means of return, survival and length, per transition.
+
+  Attributes:
+    returns: normalised, [M, M] by initial and final mode, as all that follow.
+    survival: shares of episodes that reached their time limit.
+    seconds: lengths of episodes; 0 of those of which none has ended.
+    seen: numbers of episodes that have ended.
+  """
 
   _MEMORY = 0.98  # A mean follows about the last 50 episodes.
-  _FIELDS = ('returns', 'survival', 'seen')
+  _FIELDS = ('returns', 'survival', 'seconds', 'seen')
 
-  def __init__(self, num_modes: int):
-    """Starts without episodes."""
+  def __init__(self, num_modes: int, control_timestep: float):
+    """Starts without episodes of control steps of so many seconds."""
+    self._control_timestep = control_timestep
     self.returns = np.zeros((num_modes, num_modes))
     self.survival = np.zeros((num_modes, num_modes))
+    self.seconds = np.zeros((num_modes, num_modes))
     self.seen = np.zeros((num_modes, num_modes))
 
   def update(self, results: core.Outcomes) -> None:
     """Updates the means by finished episodes, in order."""
-    for i, f, value, cause in zip(
+    for i, f, value, cause, length in zip(
       results.initial,
       results.final,
       results.returns,
       results.causes,
+      results.lengths * self._control_timestep,
       strict=True,
     ):
       self.seen[i, f] += 1
       rate = max(1 - self._MEMORY, 1 / self.seen[i, f])
       self.returns[i, f] += rate * (value - self.returns[i, f])
       self.survival[i, f] += rate * ((cause == 0) - self.survival[i, f])
+      # The first may come late: checkpoints of old have none.
+      rate = rate if self.seconds[i, f] else 1.0
+      self.seconds[i, f] += rate * (length - self.seconds[i, f])
 
   def summary(self, names: tuple[str, ...]) -> dict[str, float]:
-    """Returns MRA and survival, in all and per mode and transition."""
-    diagonal = np.diagonal(self.returns)
+    """Returns MRA and survival, in all and per mode and transition.
+
+    And seconds, in all and per mode: a robot that learns to stay up falls later
+    long before it survives.
+    """
+    diagonal, known = np.diagonal(self.returns), self.seconds > 0
     result = {
       'mra_modes': float(diagonal.mean()),
       'mra_transitions': float(self.returns.mean()),
       'survival': float(self.survival.mean()),
+      'seconds': float(self.seconds.sum() / max(known.sum(), 1)),
       'worst_transition': float(self.returns.min()),
     }
     for i, name in enumerate(names):
       result[f'return/{name}'] = float(self.returns[i, i])
       result[f'survival/{name}'] = float(self.survival[i, i])
+      result[f'seconds/{name}'] = float(self.seconds[i, i])
     for i, first in enumerate(names):
       for f, second in enumerate(names):
         if i != f:
@@ -97,9 +120,11 @@ class ReturnTracker:
     return {name: getattr(self, name).copy() for name in self._FIELDS}
 
   def restore(self, state: Mapping[str, torch.Tensor]) -> None:
-    """Restores a `state`."""
+    """Restores a `state`; those of old have no seconds."""
+    self.seconds[:] = 0.0
     for name in self._FIELDS:
-      getattr(self, name)[:] = state[name].numpy()
+      if name in state or name != 'seconds':
+        getattr(self, name)[:] = state[name].numpy()
 
 
 class DivergenceCounter:

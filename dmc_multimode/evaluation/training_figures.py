@@ -56,9 +56,14 @@ def read(path: str | os.PathLike[str]) -> Curves:
 def draw_returns(
   groups: Mapping[str, Sequence[Curves]],
 ) -> matplotlib.figure.Figure:
-  """Draws MRA over modes and over transitions along training, by label."""
-  drawn, (axes,) = figures.empty(1, 2, 5.0, 3.2)
+  """Draws MRA over modes and over transitions along training, by label.
+
+  And the seconds of an episode, unless a run is too old to have them.
+  """
   columns = {'mra_modes': 'modes', 'mra_transitions': 'transitions'}
+  if all('seconds' in run for runs in groups.values() for run in runs):
+    columns['seconds'] = 'seconds of an episode'
+  drawn, (axes,) = figures.empty(1, len(columns), 5.0, 3.2)
   for axis, (column, title) in zip(axes, columns.items(), strict=True):
     for label, runs in groups.items():
       steps, values = _aligned(runs, column)
@@ -71,7 +76,8 @@ def draw_returns(
         alpha=0.2,
         linewidth=0,
       )
-    axis.set(title=title, xlabel='million environment steps', ylim=(0.0, 1.0))
+    top = None if column == 'seconds' else 1.0
+    axis.set(title=title, xlabel='million environment steps', ylim=(0.0, top))
     _explain_blank(axis)
   axes[0].set_ylabel('normalised return, exploring')
   axes[0].legend()

@@ -1,5 +1,6 @@
 """Picture of a robot's standing pose, with what its declaration names."""
 
+import copy
 import pathlib
 from typing import Sequence
 
@@ -9,7 +10,6 @@ import PIL.Image
 
 from dmc_multimode.walkers import derivation
 from dmc_multimode.walkers import robot as robot_lib
-from dmc_multimode.walkers import trial
 
 _WIDTH, _HEIGHT = 640, 480  # Pixels of each of the two views.
 _AZIMUTHS = (150.0, 90.0)  # Degrees: from ahead on the left, from the right.
@@ -24,17 +24,23 @@ _COLOURS = ((1.0, 0.1, 0.1, 1.0), (0.1, 0.7, 0.1, 1.0), (0.2, 0.3, 1.0, 1.0))
 _Frame = tuple[np.ndarray, np.ndarray]  # Origin [3] and rotation [9].
 
 
-def write(robot: robot_lib.Robot, path: pathlib.Path) -> None:
+def write(
+  robot: robot_lib.Robot, model: mujoco.MjModel, path: pathlib.Path
+) -> None:
   """Writes a PNG file of a robot in its standing pose, in two views.
 
   The sites of the feet are green; axes of the trunk and of these sites are red
   (x), green (y) and blue (z).
 
+  Args:
+    robot: to draw.
+    model: of the robot on the ground, see `trial.on_ground`; it stays.
+    path: of the file.
+
   Raises:
     OSError: the file cannot be written.
-    ValueError: the model is none of a robot.
   """
-  model = trial.on_ground(robot)
+  model = copy.copy(model)
   derived = robot.derived
   model.vis.global_.offwidth = max(model.vis.global_.offwidth, _WIDTH)
   model.vis.global_.offheight = max(model.vis.global_.offheight, _HEIGHT)

@@ -17,7 +17,9 @@ are read from that package's folder alone, and policies keep the hash of the
 model, not the model.
 
 Servos apply clip(stiffness (a - q) - damping dq/dt, +-limit) at every physics
-step; each of the three may be a table by joint. All else follows from the model
+step; each of the three may be a table by joint. Tables by joint may have
+patterns for names, `'*_knee': 0.4`; a joint has the value of its own name, or
+else of the last pattern that it matches. All else follows from the model
 (`derivation`): heights, mass, bounds of actions, the action that stands, the
 exchange of left and right.
 
@@ -29,13 +31,15 @@ biped, whose trunk stands 0.5 m high, and grow and shrink with a robot's `size`.
 from __future__ import annotations
 
 import base64
+import dataclasses
+import fnmatch
 import functools
 import hashlib
 import json
 import os
 import pathlib
 import re
-from typing import Annotated, Any, Mapping, TYPE_CHECKING
+from typing import Annotated, Any, Mapping, TYPE_CHECKING, TypeVar
 
 import pydantic
 
@@ -54,6 +58,7 @@ MAX_JOINTS = 64
 MINI_BIPED = 'mini_biped'
 _SHIPPED = 'robots'  # Folder of the declarations in `xml/`.
 _DIGEST = 12  # Characters of a hash that are shown.
+_T = TypeVar('_T')
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_-]{0,63}')
 _Name = Annotated[str, pydantic.Field(min_length=1, max_length=100)]
 _Path = Annotated[str, pydantic.Field(min_length=1, max_length=300)]
@@ -80,6 +85,9 @@ class Servos:
 @config.dataclass
 class Declaration:
   """Content of a robot's file; see the module's docstring.
+
+  Patterns in its tables become the joints that match, so that a robot and its
+  hash do not depend on how its tables were written.
 
   Attributes:
     name: of the robot.
@@ -132,26 +140,56 @@ class Declaration:
       names = getattr(self, field)
       if len(set(names)) < len(names):
         raise ValueError(f'{field}: a name is given twice')
-    self._check_joints('pose', self.pose, complete=False)
-    self._check_joints('ranges', self.ranges, complete=False)
+    # Frozen, but for this: what is stored has no patterns.
+    for field in ('pose', 'ranges'):
+      object.__setattr__(
+        self, field, self._by_joint(field, getattr(self, field))
+      )
     for name, (low, high) in self.ranges.items():
       if low >= high:
         raise ValueError(f'ranges: {name!r:.80} has {low:g} to {high:g}')
-    for field in ('stiffness', 'damping', 'limit') if self.servos else ():
-      value = getattr(self.servos, field)
-      if isinstance(value, dict):
-        self._check_joints(f'servos.{field}', value, complete=True)
+    if self.servos:
+      tables = {
+        field: self._by_joint(f'servos.{field}', value, complete=True)
+        for field in ('stiffness', 'damping', 'limit')
+        if isinstance(value := getattr(self.servos, field), dict)
+      }
+      servos = dataclasses.replace(self.servos, **tables)
+      object.__setattr__(self, 'servos', servos)
 
-  def _check_joints(
-    self, field: str, table: Mapping[str, Any], complete: bool
-  ) -> None:
-    """Raises ValueError for unknown joints in a table, or missing ones."""
-    for name in table:
-      if name not in self.joints:
-        raise ValueError(f'{field}: {name!r:.80} is none of the joints')
+  def _by_joint(
+    self, field: str, table: Mapping[str, _T], complete: bool = False
+  ) -> dict[str, _T]:
+    """Returns a table by joint of a table by joints and patterns.
+
+    Args:
+      field: its name, for the errors.
+      table: values. A joint has that of its own name, or else of the last
+        pattern that it matches.
+      complete: whether all joints must have values.
+
+    Raises:
+      ValueError: a name or pattern is for no joint, or a joint is missing.
+    """
+    chosen: dict[str, str] = {}  # Names or patterns, by joint.
+    for key in table:
+      if key in self.joints:  # Whatever else it matches as a pattern.
+        chosen[key] = key
+        continue
+      matching = [n for n in self.joints if fnmatch.fnmatchcase(n, key)]
+      if not matching:
+        raise ValueError(f'{field}: {key!r:.80} matches none of the joints')
+      chosen |= {name: key for name in matching if name not in table}
+    for key in table:
+      if key not in chosen.values():
+        raise ValueError(
+          f'{field}: {key!r:.80} counts for no joint, for others that match '
+          'follow: general patterns come first'
+        )
     for name in self.joints if complete else ():
-      if name not in table:
+      if name not in chosen:
         raise ValueError(f'{field}: {name!r:.80} is missing')
+    return {name: table[chosen[name]] for name in self.joints if name in chosen}
 
 
 class Robot:

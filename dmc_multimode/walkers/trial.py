@@ -1,5 +1,6 @@
 """Trials of a declared robot on level ground, with its standing action."""
 
+import math
 from typing import NamedTuple
 
 from dm_control import composer
@@ -12,81 +13,124 @@ from dmc_multimode.walkers import robot as robot_lib
 from dmc_multimode.walkers import robot_walker
 
 DROP = 0.1  # Share of the standing height from which a robot is dropped.
-# Seconds of the trials, of robots with two feet and with four.
-STANDING = {2: 0.5, 4: 2.0}
-FALLING = 1.0
+SECONDS = 5.0  # Of a trial: tall robots take a second or two to topple.
 _SUNK, _TILTED = 0.1, 0.3  # Shares of the height, and radians: it has fallen.
+_SETTLING = 0.2  # Seconds in which every foot has to feel the ground.
 
 
 class Trial(NamedTuple):
-  """Outcome of a robot that held its standing action.
+  """Outcome of a robot that held its standing action, to the end or its fall.
 
   Attributes:
-    sunk: loss of height of the trunk, metres.
+    seconds: until it fell, or of the whole trial.
+    sunk: loss of height of the trunk by then, metres.
     tilt: of the trunk, radians.
     drift: of the trunk over the ground, metres.
     load: greatest sum of the forces on the feet, in the robot's weight.
-    feet: on the ground at the end, F flags.
-    stands: whether it neither sank nor tilted much, and all feet are down.
+    feet: on the ground by then, F flags.
+    stands: whether it neither sank nor tilted much.
+    fault: what is broken and not just out of balance, with what to do about
+      it; empty if nothing is.
   """
 
+  seconds: float
   sunk: float
   tilt: float
   drift: float
   load: float
   feet: tuple[bool, ...]
   stands: bool
+  fault: str
 
 
 def drop(
-  robot: robot_lib.Robot, height: float = 0.0, seconds: float | None = None
+  robot: robot_lib.Robot,
+  height: float = 0.0,
+  seconds: float = SECONDS,
+  model: mujoco.MjModel | None = None,
 ) -> Trial:
-  """Drops a robot in its standing pose, and lets it stand.
+  """Drops a robot in its standing pose, and lets it stand until it falls.
 
-  The physics are those of the tasks: no noise, no policy. Two feet stand so for
-  a moment, and fall when they are dropped.
+  The physics are those of the tasks: no noise, no policy. Nothing balances the
+  robot, so that many on two feet fall which learn to stand.
 
   Args:
     robot: to try.
     height: of the feet over the ground, metres.
-    seconds: duration; that of `STANDING` by default.
+    seconds: longest duration.
+    model: of `on_ground`; compiled if None.
 
   Raises:
     ValueError: the model is none of a robot.
   """
-  model = on_ground(robot)
-  seconds = seconds or STANDING[robot.num_feet]
+  model = model or on_ground(robot)
   data, derived = mujoco.MjData(model), robot.derived
-  start = height + derived.stand_height
-  data.qpos[2], data.qpos[7:] = start, derived.pose
+  data.qpos[2], data.qpos[7:] = height + derived.stand_height, derived.pose
   data.ctrl[:] = derived.standing_action
-  feet = [model.sensor_adr[model.sensor(name).id] for name in _sensors(robot)]
-  greatest = 0.0
-  for _ in range(round(seconds / model.opt.timestep)):
+  touches = _touches(model, robot)
+  fastest = math.sqrt(2 * constants.GRAVITY * data.qpos[2])  # Of a fall.
+  greatest, sunk, tilt, step = 0.0, 0.0, 0.0, 0
+  felt = np.zeros(len(touches), dtype=bool)
+  stands, bursts = True, False
+  while stands and step < round(seconds / model.opt.timestep):
     mujoco.mj_step(model, data)
-    greatest = max(greatest, float(data.sensordata[feet].sum()))
-  sunk = derived.stand_height - float(data.qpos[2])
-  upright = 1 - 2 * float(data.qpos[4] ** 2 + data.qpos[5] ** 2)
-  tilt = float(np.arccos(np.clip(upright, -1.0, 1.0)))
-  down = tuple(bool(force > 0) for force in data.sensordata[feet])
-  finite = bool(np.isfinite(data.qpos).all())
+    step += 1
+    forces = data.sensordata[touches]
+    greatest = max(greatest, float(forces.sum()))
+    felt |= (forces > 0) & (step * model.opt.timestep <= _SETTLING)
+    sunk = derived.stand_height - float(data.qpos[2])
+    tilt = _tilt(data.qpos[3:7])
+    # MuJoCo begins anew where the state is not finite, and counts it.
+    bursts = bool(
+      np.linalg.norm(data.qvel[:3]) > fastest or data.warning.number.any()
+    )
+    fallen = sunk > _SUNK * derived.stand_height or tilt > _TILTED
+    stands = not (fallen or bursts)
+  unfelt = [robot.declaration.feet[foot] for foot in np.flatnonzero(~felt)]
+  fault = ''
+  if bursts:
+    fault = (
+      'it bursts: exclude contacts of parts that overlap, soften its servos, '
+      'or add armature'
+    )
+  elif unfelt and not height:
+    fault = (
+      f'the foot {unfelt[0]!r} feels no ground: its site must contain the '
+      'contacts, or correct the pose'
+    )
+  elif not stands and tilt < _TILTED:
+    fault = (
+      f'it sinks by {1000 * sunk:.0f} mm upright: stiffen its servos, or '
+      'correct its pose'
+    )
   return Trial(
+    step * model.opt.timestep,
     sunk,
     tilt,
     float(np.linalg.norm(data.qpos[:2])),
     greatest / (derived.mass * constants.GRAVITY),
-    down,
-    finite
-    and abs(sunk) < _SUNK * derived.stand_height
-    and tilt < _TILTED
-    and all(down),
+    tuple(bool(force > 0) for force in data.sensordata[touches]),
+    stands,
+    fault,
   )
 
 
-def _sensors(robot: robot_lib.Robot) -> list[str]:
-  """Returns the names of the touch sensors of the feet."""
-  walker = robot_walker.RobotWalker(robot)
-  return [derivation.PREFIX + sensor.name for sensor in walker.foot_sensors]
+def _touches(model: mujoco.MjModel, robot: robot_lib.Robot) -> list[int]:
+  """Returns the places of the feet's touch sensors in `sensordata`, [F]."""
+  sites = [
+    model.site(derivation.PREFIX + foot).id for foot in robot.declaration.feet
+  ]
+  touching = model.sensor_type == mujoco.mjtSensor.mjSENS_TOUCH
+  return [
+    int(model.sensor_adr[touching & (model.sensor_objid == site)][0])
+    for site in sites
+  ]
+
+
+def _tilt(quaternion: np.ndarray) -> float:
+  """Returns the angle of the z axis of a rotation [4] from upright, radians."""
+  upright = 1 - 2 * float(quaternion[1] ** 2 + quaternion[2] ** 2)
+  return float(np.arccos(np.clip(upright, -1.0, 1.0)))
 
 
 def on_ground(robot: robot_lib.Robot) -> mujoco.MjModel:

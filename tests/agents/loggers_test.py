@@ -145,6 +145,7 @@ def test_progress_line() -> None:
         'steps_per_second': 7123.4,
         'mra_modes': 0.81234,
         'survival': 0.95,
+        'seconds': 3.21,
         'learning_rate': 5e-4,
         'unknown': 1.0,
       }
@@ -154,6 +155,7 @@ def test_progress_line() -> None:
   assert '3.00k/4.00k' in last and 'left' not in last
   for part in ('steps/s=7123', 'MRA=0.812', 'survival=0.950', 'lr=5.0e-04'):
     assert part in last
+  assert 'seconds=3.2,' in last
   assert 'unknown' not in last and 'std' not in last
 
 

@@ -122,7 +122,9 @@ def test_state_of_another_run() -> None:
 def test_rows_of_the_log() -> None:
   (row,) = _train(_biped(), 1)
   names = _RUN.modes.split(',')
-  for kind, name in itertools.product(('return', 'survival', 'p'), names):
+  for kind, name in itertools.product(
+    ('return', 'survival', 'seconds', 'p'), names
+  ):
     assert f'{kind}/{name}' in row
   for kind, one, other in itertools.product(('return', 'p'), names, names):
     assert one == other or f'{kind}/{one}->{other}' in row

@@ -48,7 +48,7 @@ class TargetEnvironment:
   Every episode reaches its time limit after one step.
   """
 
-  invalid_cause = 4
+  invalid_cause, control_timestep = 4, 0.03
 
   def __init__(
     self,

@@ -48,6 +48,15 @@ def test_returns_are_means_over_the_steps_that_all_runs_have() -> None:
   np.testing.assert_allclose(values[[0, -1]], [0.3, 0.4])
   np.testing.assert_allclose(transitions['both'][1], 0.2)
   np.testing.assert_allclose(modes['alone'][1], 0.5)
+  # A panel of their own, unless a run is older than they are.
+  newer = {**two, 'seconds': np.array([1.0, 3.0])}
+  drawn = training_figures.draw_returns({'new': [newer]})
+  _, values = _lines(drawn.axes[2])['new']
+  assert (
+    values[[0, -1]].tolist() == [1.0, 3.0] and drawn.axes[2].get_ylim()[1] > 3
+  )
+  mixed = training_figures.draw_returns({'new': [newer], 'old': [one]})
+  assert len(mixed.axes) == 2
 
 
 def test_sampling() -> None:

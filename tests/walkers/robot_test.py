@@ -2,6 +2,7 @@
 
 import os
 import pathlib
+import re
 import shutil
 from typing import Any, Callable
 
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 
+from dmc_multimode.utils import config
 from dmc_multimode.walkers import mini_biped
 from dmc_multimode.walkers import mirroring
 from dmc_multimode.walkers import robot as robot_lib
@@ -108,6 +110,17 @@ def test_walker(four_legs: robot_lib.Robot) -> None:
   )
 
 
+def test_the_mini_biped_falls_and_is_not_broken() -> None:
+  """From rest it takes seconds, which a shorter trial would not see."""
+  robot = robot_lib.mini_biped()
+  model = trial.on_ground(robot)
+  found = trial.drop(robot, model=model)
+  assert not found.stands and not found.fault
+  assert 1.0 < found.seconds < trial.SECONDS and found.tilt > 0.3
+  brief = trial.drop(robot, seconds=1.0, model=model)
+  assert brief.stands and brief.seconds == 1.0 and brief.feet == (True, True)
+
+
 # --- Names of left and right.
 
 
@@ -176,7 +189,7 @@ class _Copy:
     path = self.folder / _FILE
     values = {**yaml.safe_load(path.read_text()), **changes}
     kept = {key: value for key, value in values.items() if value is not None}
-    path.write_text(yaml.safe_dump(kept))
+    path.write_text(yaml.safe_dump(kept, sort_keys=False))
 
   def edit(self, old: str, new: str, count: int = -1) -> None:
     """Replaces text of the model."""
@@ -232,16 +245,25 @@ _FEET = [f'{leg}_foot' for leg in _LEGS]
     ({'model': 'gone.xml'}, "the model 'gone.xml' cannot be read"),
     ({'model': '../four_legs.xml'}, 'is outside the folder of the robot'),
     ({'model': '/etc/hostname'}, 'is outside the folder of the robot'),
-    ({'pose': {'fl_neck': 1.0}}, "pose: 'fl_neck' is none of the joints"),
+    ({'pose': {'fl_neck': 1.0}}, "pose: 'fl_neck' matches none of the"),
     ({'pose': {**_POSE, 'fl_knee': 0.5}}, "'fl_knee' is 0.5, outside of its"),
     ({'pose': {**_POSE, 'fl_knee': -1.2}}, 'correct the pose'),
     ({'pose': {**_POSE, 'fl_roll': 0.1}}, "are not where each is|each other's"),
     ({'servos': {**_SERVOS, 'limit': 0.5}}, 'is too weak to stand: it takes'),
     ({'servos': {**_SERVOS, 'limit': {'fl_roll': 1}}}, "'fl_pitch' is missing"),
+    ({'servos': {**_SERVOS, 'limit': {'*_[rp]*': 9}}}, "'fl_knee' is missing"),
+    (
+      {'servos': {**_SERVOS, 'damping': {'*': 1, '?r_toe': 2}}},
+      "servos.damping: '.r_toe' matches none of the joints",
+    ),
+    (
+      {'servos': {**_SERVOS, 'damping': {'*_knee': 1, '*': 2}}},
+      "servos.damping: '._knee' counts for no joint, for others that match fol",
+    ),
     ({'servos': {'stiffness': 20}}, 'servos.damping: Field required'),
     ({'servos': {**_SERVOS, 'stiffness': -1}}, 'servos.stiffness'),
     ({'servos': None}, 'declare servos'),
-    ({'ranges': {'tail': [0, 1]}}, "ranges: 'tail' is none of the joints"),
+    ({'ranges': {'tail': [0, 1]}}, "ranges: 'tail' matches none of the"),
     ({'ranges': {'fl_roll': [1, -1]}}, "ranges: 'fl_roll' has 1 to -1"),
     ({'control_timestep': 0}, 'control_timestep: Input should be greater'),
     ({'name': '../x'}, 'name: at most 64 letters'),
@@ -496,11 +518,11 @@ def test_pictures_show_hidden_geoms(files: _Copy) -> None:
   assert (np.abs(pictures[0] - pictures[1]).max(axis=-1) > 30).mean() > 0.02
 
 
-def _with_sites(files: _Copy) -> None:
+def _with_sites(files: _Copy, radius: str = '.023') -> None:
   for leg in _LEGS:
     old = f'<geom name="{leg}_foot" class="foot"/>'
     files.edit(old, f'<geom class="foot"/><site name="{leg}" pos="0 0 -.13" '
-      'size=".023"/>')  # fmt: skip
+      f'size="{radius}"/>')  # fmt: skip
   files.declare(feet=list(_LEGS))
 
 
@@ -543,6 +565,33 @@ def test_other_ways_to_say_the_same(
   np.testing.assert_allclose(one.standing_action, other.standing_action)
 
 
+@pytest.mark.parametrize(
+  ('change', 'fault'),
+  [
+    # The servos' frequency is beyond what the physics' time step resolves.
+    (
+      lambda files: files.declare(
+        servos={'stiffness': 2e4, 'damping': 0.5, 'limit': 1e4}
+      ),
+      'it bursts',
+    ),
+    (
+      lambda files: _with_sites(files, '.001'),
+      "'fl' feels no ground: its site",
+    ),
+    (
+      lambda files: files.declare(servos={**_SERVOS, 'stiffness': 0.3}),
+      'it sinks by .* mm upright: stiffen',
+    ),
+  ],
+)
+def test_broken_robots(
+  files: _Copy, change: Callable[[_Copy], None], fault: str
+) -> None:
+  change(files)
+  assert re.match(f'.*{fault}', trial.drop(files.load()).fault)
+
+
 def test_servos_that_inherit_the_ranges_of_their_joints(files: _Copy) -> None:
   """In a class, with limits of the joints: as in models of MuJoCo Menagerie."""
   files.edit(
@@ -561,6 +610,23 @@ def test_servos_that_inherit_the_ranges_of_their_joints(files: _Copy) -> None:
     robot_walker.RobotWalker(robot).mjcf_model
   ).model
   np.testing.assert_allclose(model.actuator_ctrlrange[0], [-0.6, 0.6])
+
+
+def test_patterns_are_the_tables_that_they_stand_for(files: _Copy) -> None:
+  """To the bit of the hash: the last one counts, and a name more than these."""
+  stiffness = {'fr_roll': 9, '*': 20, '*_[pk]*': 21, 'f?_*e*': 22}
+  files.declare(
+    servos={**_SERVOS, 'stiffness': stiffness},
+    pose={'*_pitch': 0.7, '*_knee': -1.4},
+  )
+  declared = yaml.safe_load((files.folder / _FILE).read_text())
+  assert list(declared['servos']['stiffness']) == list(stiffness)
+  one = config.build(robot_lib.Declaration, declared)
+  written = dict.fromkeys(_JOINTS, 21) | {'fl_knee': 22, 'fr_knee': 22}
+  written |= {name: 20 for name in _JOINTS if name.endswith('_roll')}
+  written |= {'fr_roll': 9}
+  declared['servos']['stiffness'], declared['pose'] = written, _POSE
+  assert one == config.build(robot_lib.Declaration, declared)
 
 
 def test_declared_servos_replace_the_models(
