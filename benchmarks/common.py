@@ -1,6 +1,5 @@
 """Shares flags, tables and reports with the machine among benchmarks."""
 
-import dataclasses
 import importlib.metadata
 import json
 import os
@@ -14,7 +13,6 @@ import tqdm
 
 from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.experiments import config as run_config
-from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.utils import files
 from dmc_multimode.walkers import robot as robot_lib
 
@@ -109,9 +107,7 @@ def configured(robot: str | None = None) -> run_config.RunConfig:
   """
   default = run_config.RunConfig()
   if robot:
-    found = robot_lib.load(robot)
-    task = task_config.for_robot(default.task, found)
-    default = dataclasses.replace(default, task=task)
+    default = run_config.for_robot(default, robot_lib.load(robot))
   values: dict[str, Any] = {
     part: config_flags.read(getattr(default, part), part) for part in _PARTS
   }

@@ -3,6 +3,7 @@
 import dataclasses
 import difflib
 import json
+import math
 from typing import Annotated, Any, Iterator, Mapping
 
 import pydantic
@@ -14,6 +15,7 @@ from dmc_multimode.suite.imitation import mode_sampler
 from dmc_multimode.utils import config as config_lib
 from dmc_multimode.utils import constants
 from dmc_multimode.utils import schedule
+from dmc_multimode.walkers import robot as robot_lib
 
 _Seed = Annotated[int, pydantic.Field(ge=0, lt=2**32)]
 _Worlds = Annotated[int, pydantic.Field(ge=1, le=1_000_000)]
@@ -68,6 +70,25 @@ class RunConfig:
 
   def __post_init__(self) -> None:
     config_lib.check_finite(self)
+
+
+def for_robot(config: RunConfig, robot: robot_lib.Robot) -> RunConfig:
+  """Returns a configuration, made for the mini biped, for another robot.
+
+  Its task is scaled by `task_config.for_robot`, and its discount, so that the
+  horizon, 1 / (1 - gamma) control steps, is as long in units of sqrt(h / g), h
+  the height of the trunk: a tall robot takes longer to fall, and must see it
+  coming.
+
+  Args:
+    config: with the lengths and times of the mini biped.
+    robot: that is trained; its model is compiled.
+  """
+  task = task_config.for_robot(config.task, robot)
+  shorter = task.control_timestep / config.task.control_timestep
+  ahead = (1 - config.ppo.discount) * shorter / math.sqrt(robot.size)
+  ppo = dataclasses.replace(config.ppo, discount=round(1 - ahead, 4))
+  return dataclasses.replace(config, task=task, ppo=ppo)
 
 
 def overridden(

@@ -28,7 +28,6 @@ from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes.encoder import mode_encoder
 from dmc_multimode.modes.encoder import training as encoder_training
 from dmc_multimode.pretrained import policy as policy_lib
-from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import symmetry as task_symmetry
 from dmc_multimode.utils import files
 from dmc_multimode.walkers import robot as robot_lib
@@ -163,8 +162,7 @@ class _Request:
       config = dataclasses.replace(config, steps=self.steps)
     robot = None if self.robot is None else robot_lib.find(self.robot)
     if robot:
-      task = task_config.for_robot(config.task, robot)
-      config = dataclasses.replace(config, task=task)
+      config = run_config.for_robot(config, robot)
     known = start.policy.config.robot if start else config.task.robot
     extra = self.motions
     motions: Motions = ()

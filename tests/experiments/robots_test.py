@@ -1,6 +1,7 @@
 """Tests of trainings, policies and evaluations of declared robots."""
 
 import json
+import math
 import pathlib
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 import dmc_multimode as dmm
+from dmc_multimode.experiments import config as run_config
 from dmc_multimode.modes import files as mode_files
 from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.suite.imitation import observations
@@ -116,3 +118,13 @@ def test_modes_of_two_feet_are_refused(tmp_path: pathlib.Path) -> None:
   with pytest.raises(ValueError, match='idle has contacts of 2 feet'):
     dmm.train(tmp_path / 'run', modes='pi2', robot=_FILE, **_SETTINGS)
   assert not (tmp_path / 'run').exists()
+
+
+def test_horizons_are_as_long_in_natural_times() -> None:
+  """0.03 / (1 - 0.97) s at 0.5 m; sqrt(2) of that at twice the height."""
+  default = run_config.RunConfig()
+  assert run_config.for_robot(default, robot_lib.mini_biped()) == default
+  robot = robot_lib.load(_FILE)
+  config = run_config.for_robot(default, robot)
+  seconds = config.task.control_timestep / (1 - config.ppo.discount)
+  assert seconds == pytest.approx(math.sqrt(robot.size), rel=0.01)
