@@ -10,9 +10,8 @@ import threading
 import time
 from typing import Any, Callable, Iterator, Mapping, Protocol, Sequence
 
-import tqdm
-
 from dmc_multimode.utils import files
+from dmc_multimode.utils import progress_bar
 
 Values = Mapping[str, float]
 _MAX_CHARACTERS = 1 << 30  # Bytes of a CSV file; longer ones are rejected.
@@ -248,7 +247,7 @@ class ProgressLogger:
       clock: returns seconds.
     """
     self._clock, self._end = clock, clock() + 60 * minutes
-    self._bar = tqdm.tqdm(
+    self._bar = progress_bar.Bar(
       total=total_steps,
       initial=first_step,
       unit='step',

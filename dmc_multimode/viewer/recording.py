@@ -16,13 +16,13 @@ from typing import (
 
 import numpy as np
 import pydantic
-import tqdm
 
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.pretrained import folder
 from dmc_multimode.utils import config as config_lib
+from dmc_multimode.utils import progress_bar
 from dmc_multimode.viewer import captions
 from dmc_multimode.viewer import gl
 from dmc_multimode.viewer import video
@@ -399,7 +399,7 @@ def film_beside(
   sources = [shot.frames() for shot in shots]
   if earlier:
     sources.append(video.read_frames(earlier))
-  bar = tqdm.tqdm(
+  bar = progress_bar.Bar(
     itertools.zip_longest(*sources),
     'recording',
     max(shot.rollout.num_steps for shot in shots),
