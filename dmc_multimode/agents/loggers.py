@@ -21,7 +21,10 @@ class Logger(Protocol):
   """Writes one row of numbers."""
 
   def write(self, values: Values) -> None:
-    """Writes a row of values by name; 'steps' is the abscissa."""
+    """Writes a row of values by name; 'steps' is the abscissa.
+
+    NaN stands for a value that is not known yet.
+    """
 
   def close(self) -> None:
     """Flushes and closes."""
@@ -141,7 +144,7 @@ class TensorBoardLogger:
     """See `Logger`."""
     with _named_errors(self._path):
       for key, value in values.items():
-        if key != 'steps':
+        if key != 'steps' and not math.isnan(value):
           self._writer.add_scalar(key, value, int(values['steps']))
       # Another thread writes; flushing raises its errors here, and not after
       # two minutes.
@@ -209,7 +212,7 @@ class WandbLogger:
 
   def write(self, values: Values) -> None:
     """See `Logger`."""
-    self._run.log(dict(values))
+    self._run.log({k: v for k, v in values.items() if not math.isnan(v)})
 
   def close(self) -> None:
     """See `Logger`."""
@@ -268,7 +271,7 @@ class ProgressLogger:
     shown = self._left() | {
       name: form.format(values[key])
       for name, key, form in self._SHOWN
-      if key in values
+      if not math.isnan(values.get(key, math.nan))
     }
     self._bar.set_postfix(shown, refresh=False)
     self._bar.update(int(values['steps']) - self._bar.n)

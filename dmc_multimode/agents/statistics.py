@@ -1,5 +1,6 @@
 """Statistics of the episodes that end during a training."""
 
+import math
 from typing import Mapping, NamedTuple
 
 import numpy as np
@@ -73,23 +74,29 @@ class ReturnTracker:
       self.survival[i, f] += rate * ((cause == 0) - self.survival[i, f])
 
   def summary(self, names: tuple[str, ...]) -> dict[str, float]:
-    """Returns MRA and survival, in all and per mode and transition."""
-    diagonal = np.diagonal(self.returns)
+    """Returns MRA and survival, in all and per mode and transition.
+
+    They are NaN where no episode has ended yet, and those in all are of the
+    others.
+    """
+    is_known = self.seen > 0
+    returns = np.where(is_known, self.returns, np.nan)
+    survival = np.where(is_known, self.survival, np.nan)
     result = {
-      'mra_modes': float(diagonal.mean()),
-      'mra_transitions': float(self.returns.mean()),
-      'survival': float(self.survival.mean()),
-      'worst_transition': float(self.returns.min()),
+      'mra_modes': _mean(np.diagonal(returns)),
+      'mra_transitions': _mean(returns),
+      'survival': _mean(survival),
+      'worst_transition': float(np.fmin.reduce(returns, axis=None)),
     }
     for i, name in enumerate(names):
-      result[f'return/{name}'] = float(self.returns[i, i])
-      result[f'survival/{name}'] = float(self.survival[i, i])
+      result[f'return/{name}'] = float(returns[i, i])
+      result[f'survival/{name}'] = float(survival[i, i])
     for i, first in enumerate(names):
       for f, second in enumerate(names):
         if i != f:
           key = f'{first}->{second}'
-          result[f'return/{key}'] = float(self.returns[i, f])
-          result[f'survival/{key}'] = float(self.survival[i, f])
+          result[f'return/{key}'] = float(returns[i, f])
+          result[f'survival/{key}'] = float(survival[i, f])
     return result
 
   def state(self) -> dict[str, np.ndarray]:
@@ -100,6 +107,12 @@ class ReturnTracker:
     """Restores a `state`."""
     for name in self._FIELDS:
       getattr(self, name)[:] = state[name].numpy()
+
+
+def _mean(values: np.ndarray) -> float:
+  """Returns the mean of the values that are not NaN; NaN if all are."""
+  known = values[~np.isnan(values)]
+  return float(known.mean()) if known.size else math.nan
 
 
 class DivergenceCounter:

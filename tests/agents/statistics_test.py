@@ -25,19 +25,22 @@ def test_tracker_by_hand() -> None:
   found = tracker.summary(('a', 'b'))
   expected = {
     'mra_modes': 0.35,
-    'mra_transitions': 1.5 / 4,
-    'survival': 1.5 / 4,
-    'worst_transition': 0.0,
+    'mra_transitions': 0.5,
+    'survival': 0.5,
+    'worst_transition': 0.2,
     'return/a': 0.5,
     'return/b': 0.2,
     'return/a->b': 0.8,
-    'return/b->a': 0.0,
+    'return/b->a': np.nan,  # No such episode has ended.
     'survival/a': 0.5,
     'survival/b': 0.0,
     'survival/a->b': 1.0,
-    'survival/b->a': 0.0,
+    'survival/b->a': np.nan,
   }
-  assert found == pytest.approx(expected)
+  assert found == pytest.approx(expected, nan_ok=True)
+  unknown = statistics.ReturnTracker(2).summary(('a', 'b'))
+  assert unknown.keys() == expected.keys()
+  assert np.isnan([*unknown.values()]).all()
   tracker = statistics.ReturnTracker(1)
   for _ in range(50):
     tracker.update(_results((0, 0, 1.0, 1)))
