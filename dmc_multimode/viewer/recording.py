@@ -67,7 +67,8 @@ class Outcome(NamedTuple):
   Attributes:
     mode: name of the mode.
     duration: seconds that the mode ran; 0 if it was never reached.
-    cause: first termination cause during the command, 'none' if it survived.
+    cause: first termination cause during the command, 'none' if it survived;
+      empty for a reference, which no termination ends.
     speed: distance between its ends over its duration, horizontal, m/s.
     peak: greatest height of the trunk over the support plane at the mode's
       start, metres.
@@ -83,9 +84,9 @@ class Outcome(NamedTuple):
     """Returns one line for people."""
     if not self.duration:
       return f'{self.mode}: not reached'
-    fate = 'survived' if self.cause == 'none' else f'failed ({self.cause})'
+    fate = 'survived, ' if self.cause == 'none' else f'failed ({self.cause}), '
     return (
-      f'{self.mode}: {fate}, mean speed {self.speed:.2f} m/s, '
+      f'{self.mode}: {fate * bool(self.cause)}mean speed {self.speed:.2f} m/s, '
       f'peak height {self.peak:.2f} m'
     )
 
