@@ -211,6 +211,7 @@ def test_the_example_controller_stands_on_the_block(
   assert place > 6 and abs(height - 0.9) < 0.15  # On a block of 0.4 m.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
   ('policy', 'robot', 'package'),
   [
