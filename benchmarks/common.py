@@ -9,11 +9,11 @@ import sys
 from typing import Any, Iterable, Mapping, Sequence
 
 from absl import flags
-import tqdm
 
 from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.experiments import config as run_config
 from dmc_multimode.utils import files
+from dmc_multimode.utils import progress_bar
 from dmc_multimode.walkers import robot as robot_lib
 
 CORES = len(os.sched_getaffinity(0))
@@ -68,7 +68,7 @@ def print_table(columns: str, rows: Iterable[Mapping[str, Any]]) -> None:
 
 def show(columns: str, row: Mapping[str, Any]) -> None:
   """Prints a row on stderr beside a progress bar."""
-  tqdm.tqdm.write(line(columns, row), sys.stderr)
+  progress_bar.Bar.write(line(columns, row), sys.stderr)
 
 
 def define_policy() -> flags.FlagHolder[str]:

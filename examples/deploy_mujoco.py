@@ -1,60 +1,60 @@
-r"""Runs an exported policy in plain MuJoCo: nothing here is of dmc_multimode.
+r"""Runs an exported policy in plain MuJoCo alone; see docs/DEPLOY.md.
 
-  python -m dmc_multimode.bin.export --policy=pi2 --out=out/pi2.onnx
-  python -m dmc_multimode.bin.export --format=mjcf --arena=block \
-    --sizes=distance:6 --out=out
-  python examples/deploy_mujoco.py out/pi2.onnx out/mini_biped_block.xml
-
-For 20 s the robot walks, leaps, stands, walks up to the block and launches
-itself onto it. A third argument delays actions, seconds. See docs/DEPLOY.md.
+python -m dmc_multimode.bin.export --policy=pi2 --out=out/pi2.onnx
+python -m dmc_multimode.bin.export --format=mjcf --out=out
+python examples/deploy_mujoco.py out/pi2.onnx out/mini_biped_flat.xml \
+  --schedule=walk_forward:3,leap_forward:2,idle:1
 """
 
+import argparse
 import pathlib
 import sys
 
 import mujoco
-import numpy as np
 
 
-def main(policy: str, scene: str, delay: str = '0') -> int:
-  """Runs a policy in a scene; returns 0 if the robot never falls."""
+def main(policy: str, scene: str, schedule: str = '', delay: str = '') -> None:
+  """Runs a schedule, or 2 s of each mode that needs no ledge."""
   sys.path.insert(0, str(pathlib.Path(policy).parent))
   import controller  # type: ignore[import-not-found]
 
   robot = controller.Controller(policy)
+  level = [name for name, mode in robot.modes.items() if 'step' not in mode]
+  text = schedule or ':2,'.join([*level, robot.mode['name']]) + ':2'
+  parts = [part.partition(':')[::2] for part in text.split(',')]
+  for name, seconds in parts:
+    if name not in robot.modes or not seconds.replace('.', '').isdigit():
+      sys.exit(f'{name}:{seconds} is no {"|".join(robot.modes)}:SECONDS.')
   model = mujoco.MjModel.from_xml_path(scene)
-  data = mujoco.MjData(model)
+  data, track = mujoco.MjData(model), controller.track_of(model)
   mujoco.mj_resetDataKeyframe(model, data, model.key('stand').id)
-  servos = [model.actuator(joint).id for joint in robot.about['joints']]
-  boxes = [i for i in range(model.ngeom) if 'segment' in model.geom(i).name]
-  starts = (model.geom_pos - model.geom_size)[boxes, 0]
-  tops = (model.geom_pos + model.geom_size)[boxes, 2]
-  run_up = starts[-1] - robot.modes['launch']['step']['edge']
-  # Each mode for so many seconds, or to such an x, metres.
-  schedule = [('walk_forward', 4.2, np.inf), ('leap_forward', 3.6, np.inf)]
-  schedule += [('idle', 1.8, np.inf), ('walk_forward', np.inf, run_up)]
-  schedule += [('launch', 2.0, np.inf), ('idle', np.inf, np.inf)]
-  period, began = robot.about['control_timestep'], 0.0
-  steps, late = (round(t / model.opt.timestep) for t in (period, float(delay)))
-  for time in np.arange(0.0, 20.0, period):
-    _, seconds, place = schedule[0]
-    if time - began > seconds - period / 2 or data.qpos[0] > place:
-      began, (_, *schedule) = time, schedule
-    robot.command(schedule[0][0], data.qpos[:2], data.qvel[:2])
-    ground = tops[starts <= data.qpos[0]][-1]
-    seen = controller.sense(data.qpos, data.qvel, ground)
-    if began == time or not seen['height'] > robot.about['fallen_below']:
-      print(f'{time:5.2f} s: {robot.mode["name"]} at x = {data.qpos[0]:.2f} m')
-    if not seen['height'] > robot.about['fallen_below']:
-      return 1
-    action = robot.act(data.qpos[:2], seen)
-    mujoco.mj_step(model, data, late)
-    data.ctrl[servos] = action
-    mujoco.mj_step(model, data, steps - late)
-    robot.advance()
-  print(f'20 s: stands at x = {data.qpos[0]:.2f} m, z = {data.qpos[2]:.2f} m')
-  return 0
+  joints = [model.joint(i).name for i in model.actuator_trnid[:, 0]]
+  if joints != robot.about['joints']:
+    sys.exit(f'{scene} has another robot than {policy}.')
+  times = robot.about['control_timestep'], float(delay or 0)
+  steps, late = (round(time / model.opt.timestep) for time in times)
+  rest = [*parts[1:], ('', '')]
+  for (name, seconds), (after, _) in zip(parts, rest, strict=True):
+    robot.command(name, data.qpos[:2], data.qvel[:2])
+    print(f'{data.time:5.2f} s: {name} at x = {data.qpos[0]:.2f} m')
+    run_up = robot.modes.get(after, {}).get('step', {}).get('edge', 0)
+    for _ in range(robot.steps(float(seconds))):
+      ground, ledge, scan = robot.look(track, data.qpos, data.qvel)
+      seen = controller.sense(data.qpos, data.qvel, ground)
+      if not seen['height'] > robot.about['fallen_below']:
+        sys.exit(f'{data.time:5.2f} s: fell at x = {data.qpos[0]:.2f} m')
+      if ledge < run_up:  # Of the mode that comes after.
+        break
+      action = robot.act(data.qpos[:2], seen, scan)
+      mujoco.mj_step(model, data, late)
+      data.ctrl = action
+      mujoco.mj_step(model, data, steps - late)
+      robot.advance()
+  print(f'{data.time:5.2f} s: at x, y, z = {data.qpos[:3].round(2)} m')
 
 
 if __name__ == '__main__':
-  sys.exit(main(*sys.argv[1:]))
+  parser = argparse.ArgumentParser()
+  for argument in ('policy', 'scene', '--schedule', '--delay'):
+    parser.add_argument(argument)
+  main(**vars(parser.parse_args()))

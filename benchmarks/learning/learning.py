@@ -27,7 +27,6 @@ from typing import Any, Mapping, NamedTuple, Sequence
 
 from absl import flags
 import numpy as np
-import tqdm
 
 from benchmarks import common
 from benchmarks.learning import learners
@@ -39,6 +38,7 @@ from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.utils import files
+from dmc_multimode.utils import progress_bar
 
 _LEARNERS = flags.DEFINE_list(
   'learners',
@@ -143,7 +143,7 @@ def compare(
   rounds = max(1 + _ROUNDS.value, math.ceil(_STEPS.value / samples))
   laps: dict[str, list[Lap]] = {name: [] for name in names}
   due, result = list(eval_steps), Result([], [])
-  with tqdm.tqdm(total=rounds * len(names), unit='iteration') as bar:
+  with progress_bar.Bar(total=rounds * len(names), unit='iteration') as bar:
     for done in range(rounds + 1):
       for name, learner in contest.items() if done else ():
         laps[name].append(drive(learner))

@@ -22,7 +22,6 @@ from typing import Mapping, NamedTuple, Sequence
 from absl import flags
 import matplotlib.figure
 import numpy as np
-import tqdm
 
 from benchmarks import common
 from dmc_multimode import planner as planner_lib
@@ -35,6 +34,7 @@ from dmc_multimode.planner import solver as solver_lib
 from dmc_multimode.planner import steering
 from dmc_multimode.suite.reaching import problem as reaching
 from dmc_multimode.utils import files
+from dmc_multimode.utils import progress_bar
 
 _POLICY = common.define_policy()
 _PLANNERS = flags.DEFINE_list('planners', ['guided', 'selector'], 'Which.')
@@ -220,7 +220,7 @@ def main(argv: Sequence[str]) -> None:
     for size, name in itertools.product(_sizes(track), planners)
   ]
   table: list[common.Row] = []
-  with tqdm.tqdm(total=len(cases) * _SEEDS.value, unit='plan') as progress:
+  with progress_bar.Bar(total=len(cases) * _SEEDS.value, unit='plan') as bar:
     for track, size, name in cases:
       plans: list[common.Row] = []
       for seed in range(_SEEDS.value):
@@ -235,7 +235,7 @@ def main(argv: Sequence[str]) -> None:
             _SECONDS.value,
           )
         )
-        progress.update()
+        bar.update()
       table.append(
         {
           'obstacle': track,

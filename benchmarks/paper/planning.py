@@ -26,7 +26,6 @@ from typing import Sequence
 from absl import flags
 import mujoco
 import numpy as np
-import tqdm
 
 from benchmarks import common
 from dmc_multimode import planner as planner_lib
@@ -42,6 +41,7 @@ from dmc_multimode.planner import solver as solver_lib
 from dmc_multimode.planner import steering
 from dmc_multimode.suite.reaching import problem as reaching
 from dmc_multimode.utils import files
+from dmc_multimode.utils import progress_bar
 
 _POLICY = common.define_policy()
 _PLANNERS = flags.DEFINE_list('planners', ['beam', 'q_learning'], 'Which.')
@@ -209,7 +209,7 @@ def _plan(communicator: distributed.Communicator) -> None:
     print(f'{_POLICY.value}, {common.CORES} cores, mujoco {mujoco.__version__}')
   rows: list[Row] = []
   mine = cases[communicator.rank :: communicator.size]
-  for name, config, planner in tqdm.tqdm(
+  for name, config, planner in progress_bar.Bar(
     mine, unit='plan', disable=not is_first
   ):
     rows.append(
@@ -217,7 +217,7 @@ def _plan(communicator: distributed.Communicator) -> None:
     )
     if not rows[-1]['success']:
       x, _, z = rows[-1]['final_position']
-      tqdm.tqdm.write(
+      progress_bar.Bar.write(
         f'{name} {config.seed}: not solved, x = {x:.2f} of '
         f'{config.goal[0]:.2f}, z = {z:.2f} m',
         sys.stderr,

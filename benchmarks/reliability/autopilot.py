@@ -12,7 +12,6 @@ from typing import Sequence
 
 from absl import flags
 import torch
-import tqdm
 
 from benchmarks import common
 from dmc_multimode import pretrained
@@ -20,6 +19,7 @@ from dmc_multimode.bin import app
 from dmc_multimode.planner import steering
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.utils import files
+from dmc_multimode.utils import progress_bar
 from dmc_multimode.viewer import session as session_lib
 
 _POLICY = common.define_policy()
@@ -37,7 +37,7 @@ _COLUMNS = (
 
 
 def run(
-  session: session_lib.LiveSession, minutes: float, progress: tqdm.tqdm
+  session: session_lib.LiveSession, minutes: float, progress: progress_bar.Bar
 ) -> common.Row:
   """Returns what happens in so many minutes of simulated time."""
   period = session.robot.task.control_timestep
@@ -78,7 +78,7 @@ def main(argv: Sequence[str]) -> None:
     difficulty=_DIFFICULTY.value,
   )
   session.set_autopilot(True)
-  with tqdm.tqdm(unit='step') as progress:
+  with progress_bar.Bar(unit='step') as progress:
     row = run(session, _MINUTES.value, progress)
   row['name'] = f'difficulty {_DIFFICULTY.value:g}'
   common.print_table(_COLUMNS, [row])

@@ -31,13 +31,13 @@ import time
 from typing import Any, Callable, ContextManager, Iterator, NamedTuple, Sequence
 
 from absl import flags
-import tqdm
 
 from benchmarks import common
 from benchmarks.reliability import fault_runs
 from dmc_multimode.bin import app
 from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.utils import files
+from dmc_multimode.utils import progress_bar
 
 _KILLS = flags.DEFINE_integer('kills', 50, 'Half of them in checkpoints.', 2)
 _CASES = flags.DEFINE_integer('cases', 3, 'Of each other random fault.', 1)
@@ -288,7 +288,7 @@ def main(argv: Sequence[str]) -> int:
   if set(names) - set(known):
     raise ValueError(f'--only: there are {", ".join(known)}.')
   rows = []
-  for name in tqdm.tqdm(names, unit='fault'):
+  for name in progress_bar.Bar(names, unit='fault'):
     with tempfile.TemporaryDirectory(dir=_FOLDER.value) as folder:
       os.chmod(folder, 0o777)  # Of nobody, too.
       rows.append(suffer(known[name], pathlib.Path(folder)))

@@ -25,7 +25,6 @@ import functools
 from typing import Mapping, Sequence
 
 from absl import flags
-import tqdm
 
 from benchmarks import common
 from dmc_multimode import planner as planner_lib
@@ -37,6 +36,7 @@ from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.reaching import problem as reaching
 from dmc_multimode.suite.reaching import sensing
 from dmc_multimode.utils import files
+from dmc_multimode.utils import progress_bar
 
 _POLICY = common.define_policy()
 _TRACKS = flags.DEFINE_integer('tracks', 20, 'Seeds 0, 1, ... of tracks.', 1)
@@ -186,7 +186,7 @@ def main(argv: Sequence[str]) -> None:
   table: list[common.Row] = []
   runs: list[common.Row] = []
   count = sum(len(concerned(CONDITIONS[name])) for name in names)
-  with tqdm.tqdm(total=count * _TRACKS.value, unit='track') as progress:
+  with progress_bar.Bar(total=count * _TRACKS.value, unit='track') as progress:
     for name in names:
       condition, mine = CONDITIONS[name], []
       for seed in range(_TRACKS.value):

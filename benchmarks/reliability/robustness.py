@@ -26,7 +26,6 @@ from absl import flags
 import mujoco
 import numpy as np
 from numpy import typing as npt
-import tqdm
 
 from benchmarks import common
 from dmc_multimode import pretrained
@@ -45,6 +44,7 @@ from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import mujoco_worlds
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import files
+from dmc_multimode.utils import progress_bar
 from dmc_multimode.utils import schedule as schedules
 
 _POLICY = common.define_policy()
@@ -277,7 +277,7 @@ def main(argv: Sequence[str]) -> None:
   columns = _FALL_COLUMNS if _FALLS_ONLY.value else _COLUMNS
   rows: list[common.Row] = []
   pairs = itertools.product(dict.fromkeys(names), policies)
-  for name, policy in tqdm.tqdm([*pairs], unit='case'):
+  for name, policy in progress_bar.Bar([*pairs], unit='case'):
     row: common.Row = {'name': name, 'policy': pathlib.Path(policy).name}
     row |= falls(name, policies[policy], _FALL_EPISODES.value, _SEED.value)
     if not _FALLS_ONLY.value:

@@ -31,12 +31,12 @@ from absl import flags
 import mujoco
 import numpy as np
 import torch
-import tqdm
 
 import dmc_multimode
 from dmc_multimode.bin import app
 from dmc_multimode.bin import flags as config_flags
 from dmc_multimode.utils import files
+from dmc_multimode.utils import progress_bar
 from dmc_multimode.viewer import gl
 
 _POLICY = config_flags.define_path(
@@ -94,7 +94,7 @@ def _run(name: str, total: float, advance: Callable[[], float]) -> Row:
   done, began = 0.0, time.monotonic()
   memory: list[float] = []
   heard: list[str] = []
-  with _listening(heard), tqdm.tqdm(total=total, desc=name) as bar:
+  with _listening(heard), progress_bar.Bar(total=total, desc=name) as bar:
     while done < total:
       step = advance()
       done += step

@@ -25,7 +25,6 @@ from absl import flags
 from mujoco import batch as mujoco_batch
 import numpy as np
 import torch
-import tqdm
 
 from benchmarks import common
 import dmc_multimode
@@ -40,6 +39,7 @@ from dmc_multimode.modes import library
 from dmc_multimode.pretrained import policy as policy_lib
 from dmc_multimode.suite import multimode_biped
 from dmc_multimode.utils import files
+from dmc_multimode.utils import progress_bar
 
 _POLICY = config_flags.define_path(
   'policy', None, 'A policy that acts, by name or folder; --modes must be its.'
@@ -239,7 +239,7 @@ def compare(config: run_config.RunConfig) -> list[common.Row]:
     if not _ONLY_WORLDS.value:
       iterate = _iterations(config)
       contenders.append(lambda s: {_PPO: _rate(iterate, samples, s)})
-    for _ in tqdm.trange(_ROUNDS.value, unit='round'):
+    for _ in progress_bar.Bar(range(_ROUNDS.value), unit='round'):
       for measure in contenders:
         for name, rate in measure(_SECONDS.value).items():
           rates.setdefault(name, []).append(rate)

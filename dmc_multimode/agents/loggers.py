@@ -10,9 +10,8 @@ import threading
 import time
 from typing import Any, Callable, Iterator, Mapping, Protocol, Sequence
 
-import tqdm
-
 from dmc_multimode.utils import files
+from dmc_multimode.utils import progress_bar
 
 Values = Mapping[str, float]
 _MAX_CHARACTERS = 1 << 30  # Bytes of a CSV file; longer ones are rejected.
@@ -22,7 +21,10 @@ class Logger(Protocol):
   """Writes one row of numbers."""
 
   def write(self, values: Values) -> None:
-    """Writes a row of values by name; 'steps' is the abscissa."""
+    """Writes a row of values by name; 'steps' is the abscissa.
+
+    NaN stands for a value that is not known yet.
+    """
 
   def close(self) -> None:
     """Flushes and closes."""
@@ -142,7 +144,7 @@ class TensorBoardLogger:
     """See `Logger`."""
     with _named_errors(self._path):
       for key, value in values.items():
-        if key != 'steps':
+        if key != 'steps' and not math.isnan(value):
           self._writer.add_scalar(key, value, int(values['steps']))
       # Another thread writes; flushing raises its errors here, and not after
       # two minutes.
@@ -210,7 +212,7 @@ class WandbLogger:
 
   def write(self, values: Values) -> None:
     """See `Logger`."""
-    self._run.log(dict(values))
+    self._run.log({k: v for k, v in values.items() if not math.isnan(v)})
 
   def close(self) -> None:
     """See `Logger`."""
@@ -249,7 +251,7 @@ class ProgressLogger:
       clock: returns seconds.
     """
     self._clock, self._end = clock, clock() + 60 * minutes
-    self._bar = tqdm.tqdm(
+    self._bar = progress_bar.Bar(
       total=total_steps,
       initial=first_step,
       unit='step',
@@ -270,7 +272,7 @@ class ProgressLogger:
     shown = self._left() | {
       name: form.format(values[key])
       for name, key, form in self._SHOWN
-      if key in values
+      if not math.isnan(values.get(key, math.nan))
     }
     self._bar.set_postfix(shown, refresh=False)
     self._bar.update(int(values['steps']) - self._bar.n)

@@ -1,5 +1,6 @@
 """Statistics of the episodes that end during a training."""
 
+import math
 from typing import Mapping, NamedTuple
 
 import numpy as np
@@ -93,26 +94,31 @@ class ReturnTracker:
     """Returns MRA and survival, in all and per mode and transition.
 
     And seconds, in all and per mode: a robot that learns to stay up falls later
-    long before it survives.
+    long before it survives. All are NaN where no episode has ended yet, and
+    those in all are of the others.
     """
-    diagonal, known = np.diagonal(self.returns), self.seconds > 0
+    is_known = self.seen > 0
+    returns = np.where(is_known, self.returns, np.nan)
+    survival = np.where(is_known, self.survival, np.nan)
+    # An earlier version's checkpoint has none.
+    seconds = np.where(self.seconds > 0, self.seconds, np.nan)
     result = {
-      'mra_modes': float(diagonal.mean()),
-      'mra_transitions': float(self.returns.mean()),
-      'survival': float(self.survival.mean()),
-      'seconds': float(self.seconds.sum() / max(known.sum(), 1)),
-      'worst_transition': float(self.returns.min()),
+      'mra_modes': _mean(np.diagonal(returns)),
+      'mra_transitions': _mean(returns),
+      'survival': _mean(survival),
+      'seconds': _mean(seconds),
+      'worst_transition': float(np.fmin.reduce(returns, axis=None)),
     }
     for i, name in enumerate(names):
-      result[f'return/{name}'] = float(self.returns[i, i])
-      result[f'survival/{name}'] = float(self.survival[i, i])
-      result[f'seconds/{name}'] = float(self.seconds[i, i])
+      result[f'return/{name}'] = float(returns[i, i])
+      result[f'survival/{name}'] = float(survival[i, i])
+      result[f'seconds/{name}'] = float(seconds[i, i])
     for i, first in enumerate(names):
       for f, second in enumerate(names):
         if i != f:
           key = f'{first}->{second}'
-          result[f'return/{key}'] = float(self.returns[i, f])
-          result[f'survival/{key}'] = float(self.survival[i, f])
+          result[f'return/{key}'] = float(returns[i, f])
+          result[f'survival/{key}'] = float(survival[i, f])
     return result
 
   def state(self) -> dict[str, np.ndarray]:
@@ -125,6 +131,12 @@ class ReturnTracker:
     for name in self._FIELDS:
       if name in state or name != 'seconds':
         getattr(self, name)[:] = state[name].numpy()
+
+
+def _mean(values: np.ndarray) -> float:
+  """Returns the mean of the values that are not NaN; NaN if all are."""
+  known = values[~np.isnan(values)]
+  return float(known.mean()) if known.size else math.nan
 
 
 class DivergenceCounter:

@@ -9,7 +9,6 @@ from typing import Sequence, TYPE_CHECKING
 
 from absl import flags
 import numpy as np
-import tqdm
 
 from dmc_multimode.bin import app
 from dmc_multimode.bin import flags as config_flags
@@ -17,6 +16,7 @@ from dmc_multimode.modes import files as mode_files
 from dmc_multimode.modes import library
 from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.utils import files
+from dmc_multimode.utils import progress_bar
 
 if TYPE_CHECKING:
   import matplotlib.figure
@@ -136,7 +136,7 @@ def _train(
   """Trains under a progress bar."""
   from dmc_multimode.modes.encoder import training as encoder_training
 
-  with tqdm.tqdm(desc='encoder', unit='epoch') as bar:
+  with progress_bar.Bar(desc='encoder', unit='epoch') as bar:
 
     def show(progress: 'encoder_training.Progress') -> None:
       bar.update()

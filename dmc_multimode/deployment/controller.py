@@ -7,6 +7,7 @@ so that it may be copied to a robot.
 import json
 import os
 import pathlib
+from typing import Any
 
 import numpy as np
 import onnxruntime
@@ -92,6 +93,16 @@ class Controller:
     slow = self._pace + (1 - self._pace) * self.phase / 2
     return self._anchor + slow * _turn(np.array(local), self.heading)
 
+  def steps(self, seconds: float) -> int:
+    """Returns a time in control steps, of a gait to the end of a cycle.
+
+    There the robot is on the ground, where another mode may begin.
+    """
+    period, cycle = self.about['control_timestep'], self.mode['duration']
+    if self.mode['kind'] == 'periodic':
+      seconds = cycle * np.ceil(seconds / cycle - 1e-6)
+    return round(seconds / period)
+
   def advance(self) -> None:
     """Advances the clock by a control step."""
     self.phase += self.about['control_timestep'] / self.mode['duration']
@@ -102,6 +113,30 @@ class Controller:
         self._anchor += self._way() * (1 + self._pace) / 2
         self.heading += self.mode['turn']
       self.phase, self._pace = self.phase - 1, 1.0
+
+  def look(
+    self, track: np.ndarray, qpos: np.ndarray, qvel: np.ndarray
+  ) -> tuple[float, float, np.ndarray]:
+    """Returns what a map tells of the ground.
+
+    Args:
+      track: where pieces of the ground start and end along x, and their tops,
+        metres, [3, N], in the order of the starts.
+      qpos, qvel: as for `sense`.
+
+    Returns:
+      The support under the trunk, metres; how far ahead the next piece starts
+      that is more than 2 cm higher or lower, infinity for none; and a scan for
+      `act`, [16].
+    """
+    starts, ends, tops = track
+    support = tops[starts <= qpos[0]][-1]
+    is_ledge = (starts > qpos[0]) & (np.abs(tops - support) > 0.02)
+    ledge = (starts[is_ledge] - qpos[0]).min(initial=np.inf)
+    ahead = np.cos(self.heading) * (0.09 * np.arange(16) - 0.18)
+    at = (qpos[0] - 0.03 * qvel[0] + ahead)[:, None]
+    heights = np.where((starts <= at) & (at <= ends), tops, -np.inf).max(axis=1)
+    return float(support), float(ledge), heights - support
 
   def act(
     self,
@@ -194,3 +229,14 @@ def sense(
     'angular_velocity': qvel[3:6],
     'joints_vel': qvel[6:],
   }
+
+
+def track_of(model: Any) -> np.ndarray:
+  """Returns the map for `Controller.look` of an exported model, [3, N].
+
+  Args:
+    model: MjModel with the boxes `segment_0`, `segment_1`, ...
+  """
+  boxes = ['segment' in model.geom(i).name for i in range(model.ngeom)]
+  middle, half = model.geom_pos[boxes].T, model.geom_size[boxes].T
+  return np.stack([(middle - half)[0], *(middle + half)[[0, 2]]])

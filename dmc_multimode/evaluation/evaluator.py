@@ -5,7 +5,6 @@ import dataclasses
 from typing import Any, Callable, Protocol
 
 import numpy as np
-import tqdm
 
 from dmc_multimode.agents import distributed
 from dmc_multimode.arenas import track
@@ -18,6 +17,7 @@ from dmc_multimode.suite.imitation import batched_env
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.imitation import episodes as episodes_lib
 from dmc_multimode.utils import durations
+from dmc_multimode.utils import progress_bar
 
 
 class Policy(Protocol):
@@ -124,7 +124,7 @@ class Evaluator:
       raise ValueError('An evaluation needs a finite time_limit.')
     worlds = self.make_worlds(schedule)
     measure = recorder(worlds) if recorder else None
-    with tqdm.tqdm(
+    with progress_bar.Bar(
       total=self.config.horizon, desc=label, unit='step', disable=self._quiet
     ) as bar:
       found = evaluation_episodes.run_episodes(

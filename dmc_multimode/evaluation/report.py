@@ -14,7 +14,6 @@ import jinja2
 import matplotlib
 import matplotlib.figure
 import numpy as np
-import tqdm
 
 from dmc_multimode import pretrained
 from dmc_multimode.evaluation import evaluator as evaluator_lib
@@ -24,6 +23,7 @@ from dmc_multimode.evaluation import task_summary
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.utils import files
+from dmc_multimode.utils import progress_bar
 from dmc_multimode.viewer import recording
 from dmc_multimode.viewer import rollout
 from dmc_multimode.viewer import video
@@ -135,7 +135,8 @@ def film(
   videos = {}
   with tempfile.TemporaryDirectory() as folder:
     path = pathlib.Path(folder) / f'mode{video.SUFFIX}'
-    for motion in tqdm.tqdm(policy.mode_set.motions, 'videos', unit='video'):
+    motions = policy.mode_set.motions
+    for motion in progress_bar.Bar(motions, 'videos', unit='video'):
       seconds = max(_SECONDS, motion.duration / clock_rate + _AFTER)
       what = rollout.RolloutConfig(
         (motion.name,),

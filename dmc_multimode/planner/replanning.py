@@ -13,7 +13,6 @@ import time
 from typing import Any, Iterator, Mapping, Sequence
 
 import numpy as np
-import tqdm
 
 from dmc_multimode.arenas import track
 from dmc_multimode.planner import beam_search
@@ -26,6 +25,7 @@ from dmc_multimode.planner import steering
 from dmc_multimode.suite.imitation import events as events_lib
 from dmc_multimode.suite.reaching import environment as reaching_env
 from dmc_multimode.suite.reaching import problem as reaching
+from dmc_multimode.utils import progress_bar
 
 
 def solve(
@@ -183,7 +183,7 @@ def _progress(
   """Yields a `Report` that shows a progress bar, reset for every search."""
   learns = solver_lib.name_of(planner) == 'q_learning'
   unit = 'episode' if learns else 'knot'
-  with tqdm.tqdm(unit=unit, disable=quiet) as bar:
+  with progress_bar.Bar(unit=unit, disable=quiet) as bar:
 
     def report(status: solver_lib.Status) -> None:
       if status.done <= bar.n:

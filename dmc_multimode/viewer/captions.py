@@ -8,6 +8,8 @@ import PIL.Image
 import PIL.ImageDraw
 import PIL.ImageFont
 
+from dmc_multimode.modes import motion
+
 if TYPE_CHECKING:
   from dmc_multimode.arenas import track
   from dmc_multimode.viewer import rollout as rollout_lib
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
 _INK, _FAINT, _WARNING = (22, 28, 36), (92, 102, 114), (200, 30, 30)
 _SHOWN = 0.6  # Seconds for which a push, or a ledge that appears, is shown.
 _GHOST = 'translucent box: reference'
+_TRUNK = 'box: reference of the trunk'
 _LEAST_RISE = 0.02  # Metres: lower ones are no ledge.
 _PAPER = 0.72  # Opacity of the panel behind the text.
 _PALETTE = (  # One colour a mode, safe for colour-blind eyes (Okabe and Ito).
@@ -111,40 +114,44 @@ class Captions:
     )
     self._warning = ''
 
-  def _contacts(self) -> str:
-    """Returns which feet the reference has on the ground."""
-    reference = self._rollout.task.core.tracker.reference()
-    if not reference.has_contact[0]:
-      return 'feet free'
-    feet = ' '.join(f'{foot:.0f}' for foot in reference.contact[0])
-    return f'feet on the ground {feet}'
+  def _pose(self) -> tuple[str, str]:
+    """Returns how the reference is turned, and which feet are on the ground."""
+    tracker = self._rollout.task.core.tracker
+    reference = tracker.reference()
+    tilt = motion.tilt(reference.orientation[0])
+    yaw = tracker.state.heading[0] + motion.yaw(reference.orientation[0])
+    roll, pitch, yaw = np.degrees([*tilt, yaw]).round().astype(int)
+    feet = 'feet free'
+    if reference.has_contact[0]:
+      contacts = ' '.join(f'{foot:.0f}' for foot in reference.contact[0])
+      feet = f'feet on the ground {contacts}'
+    return f'roll {roll}, pitch {pitch}, yaw {yaw} deg', feet
 
-  def draw(self, frame: np.ndarray, step: 'rollout_lib.Step') -> np.ndarray:
-    """Returns the frame of a step with its caption, uint8 [H, W, 3]."""
-    if step.cause != 'none' and not self._warning:
-      self._warning = f'failed at {step.time:.2f} s: {step.cause}'
-    pushes = tuple(
+  def lines(self, step: 'rollout_lib.Step') -> tuple[str, ...]:
+    """Returns the lines below the title; call it for every step in order."""
+    pushes = (
       f'pushed by ({push.velocity[0]:g}, {push.velocity[1]:g}) m/s'
       for push in self._rollout.pushes
       if 0 < step.time - push.time <= _SHOWN
     )
-    caption = Caption(
-      self._names.index(step.mode),
-      step.mode,
-      (
-        *self._name,
-        f'{step.time:.2f} s, {step.speed:.2f} m/s',
-        f'reward {step.reward:.2f}'
-        if np.isfinite(step.reward)
-        else self._contacts(),
-        f'over ground {step.height:.2f} m',
-        f'over world {step.position[2]:.2f} m',
-        *self._ghost,
-        *self._ledges.lines(step),
-        *pushes,
-      ),
-      self._warning,
+    is_reference = np.isnan(step.reward)
+    return (
+      *self._name,
+      f'{step.time:.2f} s, {step.speed:.2f} m/s',
+      *(self._pose() if is_reference else [f'reward {step.reward:.2f}']),
+      f'over ground {step.height:.2f} m',
+      f'over world {step.position[2]:.2f} m',
+      *([_TRUNK] if is_reference else self._ghost),
+      *self._ledges.lines(step),
+      *pushes,
     )
+
+  def draw(self, frame: np.ndarray, step: 'rollout_lib.Step') -> np.ndarray:
+    """Returns the frame of a step with its caption, uint8 [H, W, 3]."""
+    if step.cause not in ('', 'none') and not self._warning:
+      self._warning = f'failed at {step.time:.2f} s: {step.cause}'
+    index = self._names.index(step.mode)
+    caption = Caption(index, step.mode, self.lines(step), self._warning)
     total = self._rollout.num_steps * self._rollout.task.control_timestep
     return draw(frame, caption, self._timeline, step.time / total)
 

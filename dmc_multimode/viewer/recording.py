@@ -16,13 +16,13 @@ from typing import (
 
 import numpy as np
 import pydantic
-import tqdm
 
 from dmc_multimode.modes import mode_set as mode_set_lib
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.pretrained import folder
 from dmc_multimode.utils import config as config_lib
+from dmc_multimode.utils import progress_bar
 from dmc_multimode.viewer import captions
 from dmc_multimode.viewer import gl
 from dmc_multimode.viewer import video
@@ -67,7 +67,8 @@ class Outcome(NamedTuple):
   Attributes:
     mode: name of the mode.
     duration: seconds that the mode ran; 0 if it was never reached.
-    cause: first termination cause during the command, 'none' if it survived.
+    cause: first termination cause during the command, 'none' if it survived;
+      empty for a reference, which no termination ends.
     speed: distance between its ends over its duration, horizontal, m/s.
     peak: greatest height of the trunk over the support plane at the mode's
       start, metres.
@@ -83,9 +84,9 @@ class Outcome(NamedTuple):
     """Returns one line for people."""
     if not self.duration:
       return f'{self.mode}: not reached'
-    fate = 'survived' if self.cause == 'none' else f'failed ({self.cause})'
+    fate = 'survived, ' if self.cause == 'none' else f'failed ({self.cause}), '
     return (
-      f'{self.mode}: {fate}, mean speed {self.speed:.2f} m/s, '
+      f'{self.mode}: {fate * bool(self.cause)}mean speed {self.speed:.2f} m/s, '
       f'peak height {self.peak:.2f} m'
     )
 
@@ -399,7 +400,7 @@ def film_beside(
   sources = [shot.frames() for shot in shots]
   if earlier:
     sources.append(video.read_frames(earlier))
-  bar = tqdm.tqdm(
+  bar = progress_bar.Bar(
     itertools.zip_longest(*sources),
     'recording',
     max(shot.rollout.num_steps for shot in shots),

@@ -49,7 +49,7 @@ class Carried(rollout.Robot):
     self._path.append(self.position)
 
   def step(self) -> rollout.Step:
-    """Advances the clock by a control step; there is no reward."""
+    """Advances the clock by a control step; nothing is scored."""
     core, state = self.task.core, self.task.core.tracker.state
     command, floor = int(state.knot[0]), float(state.anchor[0, 2])
     core.tracker.advance()
@@ -68,6 +68,7 @@ class Carried(rollout.Robot):
       rise=float(self.position[2] - floor),
       speed=float(way / ((len(self._path) - 1) * period)),
       reward=np.nan,
+      cause='',
     )
 
   def _carry(self) -> None:

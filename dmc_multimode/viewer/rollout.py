@@ -37,7 +37,8 @@ class Step(NamedTuple):
     rise: of the trunk over the support plane at the mode's start, metres.
     speed: horizontal, mean over the last 0.3 s, m/s.
     reward: in [0, 1]; NaN of a reference alone.
-    cause: termination cause of the step, or 'none'.
+    cause: termination cause of the step, or 'none'; empty for a reference
+      alone.
   """
 
   command: int

@@ -30,22 +30,25 @@ def test_tracker_by_hand() -> None:
   found = tracker.summary(('a', 'b'))
   expected = {
     'mra_modes': 0.35,
-    'mra_transitions': 1.5 / 4,
-    'survival': 1.5 / 4,
+    'mra_transitions': 0.5,
+    'survival': 0.5,
     'seconds': (3.5 + 5.0 + 1.5) / 3,  # No episode went from b to a.
-    'worst_transition': 0.0,
+    'worst_transition': 0.2,
     'return/a': 0.5,
     'return/b': 0.2,
     'return/a->b': 0.8,
-    'return/b->a': 0.0,
+    'return/b->a': np.nan,  # No such episode has ended.
     'survival/a': 0.5,
     'survival/b': 0.0,
     'seconds/a': 3.5,
     'seconds/b': 1.5,
     'survival/a->b': 1.0,
-    'survival/b->a': 0.0,
+    'survival/b->a': np.nan,
   }
-  assert found == pytest.approx(expected)
+  assert found == pytest.approx(expected, nan_ok=True)
+  unknown = statistics.ReturnTracker(2, 0.5).summary(('a', 'b'))
+  assert unknown.keys() == expected.keys()
+  assert np.isnan([*unknown.values()]).all()
   tracker = statistics.ReturnTracker(1, 0.5)
   for _ in range(50):
     tracker.update(_results((0, 0, 1.0, 1)))
@@ -61,7 +64,7 @@ def test_a_state_from_before_there_were_seconds() -> None:
   state = {k: torch.from_numpy(v) for k, v in tracker.state().items()}
   del state['seconds']
   tracker.restore(state)
-  assert tracker.summary(('a',))['seconds'] == 0.0
+  assert np.isnan(tracker.summary(('a',))['seconds'])
   tracker.update(_results((0, 0, 0.0, 0), lengths=(4,)))
   assert tracker.summary(('a',))['seconds/a'] == 2.0
   assert tracker.returns[0, 0] == 0.5

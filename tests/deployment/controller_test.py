@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from dmc_multimode import pretrained
+from dmc_multimode.arenas import terrain
+from dmc_multimode.arenas import track
 from dmc_multimode.deployment import description
 from dmc_multimode.modes import schedule as schedule_lib
 from dmc_multimode.suite import multimode_biped
@@ -152,3 +154,27 @@ def test_the_first_mode_begins_where_the_robot_is(
     sizes = [p['size'] for p in walker.about['observation']]
     start = sum(sizes[: names.index('displacement')])
     np.testing.assert_array_equal(session.seen[0, start : start + 2], 0.0)
+
+
+def test_a_map_tells_what_the_task_scans(
+  tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  ground = track.make('gap_block').generate(np.random.RandomState(0))
+  controller, _ = _controller(pretrained.load('pi2'), tmp_path, monkeypatch)
+  scans, ledges = [], []
+  for x in np.arange(-0.5, 6.0, 0.05):
+    controller.heading = x / 6
+    qpos, qvel = np.full(17, x), np.full(16, 2 * x)
+    pieces = np.concatenate(ground)
+    support, ledge, scan = controller.look(pieces, qpos, qvel)
+    at = x * (1 - 2 * observations.SCAN_AGE)
+    at += np.cos(x / 6) * np.array(observations.SCAN)
+    expected = terrain.profile(ground, at[None])[0]
+    np.testing.assert_array_equal(scan + support, expected)
+    assert support == terrain.support_height(ground, qpos[None, 0])[0]
+    heights = terrain.profile(ground, x + np.array([[ledge + 1e-9]]))
+    assert np.isinf(ledge) or abs(heights[0, 0] - support) > 0.02
+    scans.append(scan)
+    ledges.append(ledge)
+  assert np.isneginf(scans).any() and np.max(scans) > 0.1
+  assert ledges[0] > ledges[20] and ledges[-1] == np.inf

@@ -280,6 +280,30 @@ def test_a_reference_goes_where_its_keyframes_are(bow: pathlib.Path) -> None:
   for step in steps[19:]:  # It holds its last pose.
     np.testing.assert_allclose(step.position, [0, 0, 0.5], atol=1e-9)
   assert steps[9].time == pytest.approx(0.3)
+  (outcome,) = recording.outcomes(roll._config, np.zeros(3), steps)
+  assert str(outcome) == 'bow: mean speed 0.00 m/s, peak height 0.50 m'
+
+
+def test_a_film_of_a_reference_says_how_it_is_turned(
+  bow: pathlib.Path,
+) -> None:
+  shown = reference_rollout.Reference(
+    library.mode_set(bow), task_config.ImitationConfig()
+  )
+  roll = reference_rollout.ReferenceRollout(
+    shown, rollout.RolloutConfig(('bow',), (0.3,))
+  )
+  roll.start()
+  *_, step = roll.steps()
+  lines = captions.Captions(roll).lines(step)
+  assert lines == (
+    '0.30 s, 0.33 m/s',
+    'roll 0, pitch 40, yaw 0 deg',
+    'feet free',
+    'over ground 0.40 m',
+    'over world 0.40 m',
+    'box: reference of the trunk',
+  )
 
 
 def test_a_reference_goes_on_from_where_the_one_before_ends() -> None:

@@ -1,5 +1,6 @@
 """Tests of benchmarks.release.pictures: what is shown is what is rendered."""
 
+import importlib.util
 import pathlib
 import re
 
@@ -7,6 +8,7 @@ import PIL.Image
 import PIL.ImageSequence
 import pytest
 
+from dmc_multimode import pretrained
 from tests.benchmarks import modules
 from tests.bin import processes
 
@@ -32,6 +34,19 @@ def test_every_picture_is_shown_with_a_caption() -> None:
     assert re.search(rf'\((docs/)?{name}\)', text), name
   for line in re.findall(r'^!\[[^\]]+\]\([^)]+\)\n(.*)', text, re.M):
     assert line.startswith('*'), f'no caption under a picture: {line!r}'
+
+
+def test_commands_name_what_there_is() -> None:
+  shipped = pathlib.Path(pretrained.__file__).parent
+  for name, (_, words) in pictures._COMMANDS.items():
+    module, *flags = words.split()
+    assert importlib.util.find_spec(module), name
+    found = re.findall(r'--(?:policy|before|after)=(\S+)', words)
+    found += re.findall(r'{shipped}/(\w+)/training.csv', words)
+    for policy in found:
+      assert (shipped / policy / 'training.csv').is_file(), (name, policy)
+    assert found or module.endswith('train_encoder'), name
+    assert all(flag.startswith('--') for flag in flags), name
 
 
 def test_films_are_small() -> None:
