@@ -150,7 +150,8 @@ class SelectorTraining:
     network: that learns.
     decisions: so far, summed over all worlds.
     means: running means over episodes of `reached` (the robot stood at the goal
-      in the end), `fell`, and `progress`, the way to the goal, metres.
+      in the end), `fell`, and `progress`, the way to the goal, metres; NaN
+      until an episode has ended.
   """
 
   def __init__(self, config: SelectorConfig):
@@ -199,7 +200,8 @@ class SelectorTraining:
     self._generator = torch.Generator().manual_seed(config.seed + 2)
     self._goal = self.worlds.part('goal')
     self.decisions = 0
-    self.means = {'reached': 0.0, 'fell': 0.0, 'progress': 0.0}
+    self.means = dict.fromkeys(('reached', 'fell', 'progress'), math.nan)
+    self._episodes = 0
     self._gained = np.zeros(config.num_worlds)
     self._observation = self.worlds.reset()
 
@@ -288,8 +290,11 @@ class SelectorTraining:
         'fell': float(step.discount[i] == 0),
         'progress': float(self._gained[i]),
       }
+      self._episodes += 1
+      rate = max(1 - _MEMORY, 1 / self._episodes)
       for name, value in found.items():
-        self.means[name] += (1 - _MEMORY) * (value - self.means[name])
+        before = self.means[name] if self._episodes > 1 else 0.0
+        self.means[name] = before + rate * (value - before)
     self._gained[step.last] = 0.0
 
   def _learn(self, rollouts: _Rollouts) -> dict[str, float]:
@@ -370,7 +375,11 @@ class SelectorTraining:
     tensors |= {f'worlds/{k}': v for k, v in self.worlds.state().items()}
     tensors['generator'] = self._generator.get_state()
     tensors['gained'] = self._gained
-    return tensors, {'steps': self.decisions, 'means': dict(self.means)}
+    return tensors, {
+      'steps': self.decisions,
+      'means': {k: None if math.isnan(v) else v for k, v in self.means.items()},
+      'episodes': self._episodes,
+    }
 
   def restore(
     self, tensors: Mapping[str, torch.Tensor], values: Mapping[str, Any]
@@ -390,7 +399,11 @@ class SelectorTraining:
     self._generator.set_state(tensors['generator'])
     self._gained[:] = tensors['gained'].numpy()
     self.decisions = int(values['steps'])
-    self.means = {k: float(v) for k, v in values['means'].items()}
+    self.means = {
+      k: math.nan if v is None else float(v) for k, v in values['means'].items()
+    }
+    # Earlier checkpoints do not count them.
+    self._episodes = int(values.get('episodes', round(1 / (1 - _MEMORY))))
 
 
 def train(

@@ -68,6 +68,9 @@ def test_rewards_by_hand() -> None:
   )
   # From 5 m to 4 m along the ground; standing there; fallen.
   np.testing.assert_allclose(run._reward(made, after), [1.0, 1.1, -1.0])
+  assert np.isnan(run.means['fell'])
+  run._count(made)
+  assert run.means['fell'] == 1.0 and run.means['reached'] == 0.0
 
 
 def test_network_sees_no_knots_and_chooses_what_is_obeyed() -> None:
