@@ -160,10 +160,6 @@ def _steer(
   )
   began = time.perf_counter()
   steered = steering.steer(robot, selector)
-  met = len(steered.modes) * robot.config.knot_duration - 1e-6
-  course = course._replace(
-    pushes=tuple(push for push in course.pushes if push.time < met)
-  )
   found = solver_lib.pack(
     robot,
     course,

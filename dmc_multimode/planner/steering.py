@@ -39,7 +39,7 @@ class Steered(NamedTuple):
   """Commands of a selector, and their outcome.
 
   Attributes:
-    modes: mode indices, one a knot, [K]; at least one.
+    modes: mode indices, one a knot, [K].
     trials: of the one robot.
     decision_seconds: time that each choice took, [K].
   """
@@ -106,9 +106,7 @@ def check(
 def steer(
   robot: problem_lib.ReachingProblem, selector: 'selector_lib.Selector'
 ) -> Steered:
-  """Commands a robot until it stands at its goal, or to its last knot.
-
-  Then it rests, as after a plan, and must stand there still.
+  """Commands a robot from where it is to its last knot.
 
   Args:
     robot: a problem of one world.
@@ -126,8 +124,6 @@ def steer(
     seconds.append(time.perf_counter() - began)
     modes.append(int(chosen[0]))
     knots.append(robot.run_knot(chosen))
-    if robot.reached()[0]:
-      break
   return Steered(
     np.array(modes),
     problem_lib.trials(knots, robot.rest()),

@@ -3,7 +3,6 @@
 import pytest
 
 import dmc_multimode as dmm
-from dmc_multimode import planner
 from dmc_multimode.planner import steering
 from dmc_multimode.suite.imitation import events
 
@@ -18,16 +17,6 @@ def test_the_shipped_selector_runs_a_track_that_it_has_never_seen() -> None:
     'pi2', 'parkour', seed=0, planner='selector', quiet=True, disturbed=ice
   )
   assert not found.success
-
-
-def test_a_run_ends_where_the_robot_stands_at_its_goal() -> None:
-  late = planner.Push(11.4, (0.5, 0.0, 0.0))
-  found = dmm.plan(
-    'pi2', 'parkour', seed=0, planner='selector', quiet=True, pushes=[late]
-  )
-  assert found.success and found.plan.duration < late.time
-  assert not found.course.pushes
-  assert found.seconds == pytest.approx(found.plan.duration + 1.5)
 
 
 def test_policies_without_a_selector() -> None:
