@@ -2,8 +2,7 @@ r"""Runs an exported policy in plain MuJoCo alone; see docs/DEPLOY.md.
 
 python -m dmc_multimode.bin.export --policy=pi2 --out=out/pi2.onnx
 python -m dmc_multimode.bin.export --format=mjcf --out=out
-python examples/deploy_mujoco.py out/pi2.onnx out/mini_biped_flat.xml \
-  --schedule=walk_forward:3,leap_forward:2,idle:1
+python examples/deploy_mujoco.py out/pi2.onnx out/mini_biped_flat.xml
 """
 
 import argparse
@@ -14,7 +13,7 @@ import mujoco
 
 
 def main(policy: str, scene: str, schedule: str = '', delay: str = '') -> None:
-  """Runs a schedule, or 2 s of each mode that needs no ledge."""
+  """Runs a schedule, or 2 s of each mode without a ledge; delay in seconds."""
   sys.path.insert(0, str(pathlib.Path(policy).parent))
   import controller  # type: ignore[import-not-found]
 
@@ -23,7 +22,7 @@ def main(policy: str, scene: str, schedule: str = '', delay: str = '') -> None:
   text = schedule or ':2,'.join([*level, robot.mode['name']]) + ':2'
   parts = [part.partition(':')[::2] for part in text.split(',')]
   for name, seconds in parts:
-    if name not in robot.modes or not seconds.replace('.', '').isdigit():
+    if name not in robot.modes or not seconds.replace('.', '', 1).isdigit():
       sys.exit(f'{name}:{seconds} is no {"|".join(robot.modes)}:SECONDS.')
   model = mujoco.MjModel.from_xml_path(scene)
   data, track = mujoco.MjData(model), controller.track_of(model)
@@ -33,17 +32,18 @@ def main(policy: str, scene: str, schedule: str = '', delay: str = '') -> None:
     sys.exit(f'{scene} has another robot than {policy}.')
   times = robot.about['control_timestep'], float(delay or 0)
   steps, late = (round(time / model.opt.timestep) for time in times)
-  rest = [*parts[1:], ('', '')]
-  for (name, seconds), (after, _) in zip(parts, rest, strict=True):
+  if not 0 <= late <= steps:
+    sys.exit(f'--delay={delay} is not from 0 to {times[0]} s.')
+  for i, (name, seconds) in enumerate(parts, 1):
     robot.command(name, data.qpos[:2], data.qvel[:2])
     print(f'{data.time:5.2f} s: {name} at x = {data.qpos[0]:.2f} m')
-    run_up = robot.modes.get(after, {}).get('step', {}).get('edge', 0)
+    ledge_after = robot.modes[parts[i][0]].get('step', {}) if parts[i:] else {}
     for _ in range(robot.steps(float(seconds))):
       ground, ledge, scan = robot.look(track, data.qpos, data.qvel)
       seen = controller.sense(data.qpos, data.qvel, ground)
       if not seen['height'] > robot.about['fallen_below']:
         sys.exit(f'{data.time:5.2f} s: fell at x = {data.qpos[0]:.2f} m')
-      if ledge < run_up:  # Of the mode that comes after.
+      if ledge < ledge_after.get('edge', 0):
         break
       action = robot.act(data.qpos[:2], seen, scan)
       mujoco.mj_step(model, data, late)
@@ -56,5 +56,5 @@ def main(policy: str, scene: str, schedule: str = '', delay: str = '') -> None:
 if __name__ == '__main__':
   parser = argparse.ArgumentParser()
   for argument in ('policy', 'scene', '--schedule', '--delay'):
-    parser.add_argument(argument)
+    parser.add_argument(argument, default='')
   main(**vars(parser.parse_args()))

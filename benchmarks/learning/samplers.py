@@ -133,7 +133,7 @@ def _seeds() -> list[int]:
     raise ValueError(
       f'--seeds are whole numbers with commas, got {",".join(_SEEDS.value)!r}.'
     )
-  return [int(text) for text in _SEEDS.value]
+  return [*dict.fromkeys(map(int, _SEEDS.value))]
 
 
 def main(argv: Sequence[str]) -> None:
@@ -146,15 +146,18 @@ def main(argv: Sequence[str]) -> None:
       f'--samplers must be some of {", ".join(SAMPLERS)}, got '
       f'{",".join(_SAMPLERS.value) or "none"}.'
     )
+  if flags.FLAGS['seed'].present:
+    raise ValueError('Name the seeds of the trainings by --seeds.')
   seeds, config = _seeds(), common.configured()
+  names = [*dict.fromkeys(_SAMPLERS.value)]
   rows: list[Row] = []
   for seed in seeds:
-    for sampler in _SAMPLERS.value:
+    for sampler in names:
       rows.append(_run(config, sampler, seed))
-      common.print_table(_COLUMNS, rows)
+      common.show(_COLUMNS, rows[-1])
   table = [
     summary([row for row in rows if row['sampler'] == sampler])
-    for sampler in _SAMPLERS.value
+    for sampler in names
   ]
   common.print_table(
     _COLUMNS,
@@ -171,6 +174,7 @@ def main(argv: Sequence[str]) -> None:
       'table': table,
       'runs': rows,
       'steps': _STEPS.value,
+      'episodes': _EPISODES.value,
       'config': run_config.to_dict(config),
     },
   )

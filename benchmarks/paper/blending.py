@@ -13,9 +13,10 @@ ends. That of the reference is the weighted mean of the two modes'.
 import dataclasses
 import functools
 import pathlib
-from typing import Any, Sequence
+from typing import Sequence
 
 from absl import flags
+import matplotlib.figure
 import numpy as np
 
 from benchmarks import common
@@ -55,14 +56,11 @@ Row = common.Row
 
 def names(first: str, second: str, shares: Sequence[float]) -> list[str]:
   """Returns the blends of two modes by the share of the second, in [0, 1]."""
-  return [
-    first
-    if share == 0
-    else second
-    if share == 1
-    else f'{first}*{1 - share:.4g}+{second}*{share:.4g}'
-    for share in map(float, shares)
-  ]
+  found = {0.0: first, 1.0: second}
+  for share in shares:
+    mine, rest = round(share, 4), round(1 - round(share, 4), 4)
+    found.setdefault(mine, f'{first}*{rest:g}+{second}*{mine:g}')
+  return [found[round(share, 4)] for share in shares]
 
 
 def measure(
@@ -78,7 +76,7 @@ def measure(
     policy: that is commanded.
     modes: first and second.
     shares: of the second, in [0, 1].
-    episodes: of each blend; those of a fall end there.
+    episodes: of each blend; a fall ends one.
     seed: of the initial states.
 
   Raises:
@@ -116,7 +114,9 @@ def measure(
   return rows
 
 
-def _draw(found: dict[str, dict[str, list[Row]]]) -> Any:
+def _draw(
+  found: dict[str, dict[str, list[Row]]],
+) -> matplotlib.figure.Figure:
   """Draws velocities over shares: a row a policy, a column a pair."""
   pairs = [*next(iter(found.values()))]
   drawn, grid = figures.empty(len(found), len(pairs), 4.5, 3.0)
@@ -166,7 +166,13 @@ def main(argv: Sequence[str]) -> None:
       print(name)
       common.print_table(_COLUMNS, rows)
   common.write_report(
-    out, {'benchmark': 'blending', 'blends': found, 'seed': _SEED.value}
+    out,
+    {
+      'benchmark': 'blending',
+      'blends': found,
+      'episodes': _EPISODES.value,
+      'seed': _SEED.value,
+    },
   )
   if folder:
     figures.save(pathlib.Path(folder) / FIGURE_FILE, _draw(found))

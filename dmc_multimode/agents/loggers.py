@@ -220,7 +220,7 @@ class WandbLogger:
 
 
 class ProgressLogger:
-  """Keeps one line on the terminal."""
+  """Shows progress on stderr; in a log, a line every half a minute."""
 
   _SHOWN = (
     ('steps/s', 'steps_per_second', '{:.0f}'),

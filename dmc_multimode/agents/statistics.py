@@ -57,12 +57,14 @@ class ReturnTracker:
   Attributes:
     returns: normalised, [M, M] by initial and final mode, as all that follow.
     survival: shares of episodes that reached their time limit.
-    seconds: lengths of episodes; 0 of those of which none has ended.
+    seconds: mean lengths of episodes, seconds.
     seen: numbers of episodes that have ended.
+    timed: likewise, since lengths are recorded: earlier checkpoints have none.
   """
 
   _MEMORY = 0.98  # A mean follows about the last 50 episodes.
-  _FIELDS = ('returns', 'survival', 'seconds', 'seen')
+  _FIELDS = ('returns', 'survival', 'seen')
+  _NEW_FIELDS = ('seconds', 'timed')
 
   def __init__(self, num_modes: int, control_timestep: float):
     """Starts without episodes of control steps of so many seconds."""
@@ -71,6 +73,7 @@ class ReturnTracker:
     self.survival = np.zeros((num_modes, num_modes))
     self.seconds = np.zeros((num_modes, num_modes))
     self.seen = np.zeros((num_modes, num_modes))
+    self.timed = np.zeros((num_modes, num_modes))
 
   def update(self, results: core.Outcomes) -> None:
     """Updates the means by finished episodes, in order."""
@@ -83,25 +86,24 @@ class ReturnTracker:
       strict=True,
     ):
       self.seen[i, f] += 1
+      self.timed[i, f] += 1
       rate = max(1 - self._MEMORY, 1 / self.seen[i, f])
       self.returns[i, f] += rate * (value - self.returns[i, f])
       self.survival[i, f] += rate * ((cause == 0) - self.survival[i, f])
-      # The first may come late: checkpoints of old have none.
-      rate = rate if self.seconds[i, f] else 1.0
+      rate = max(1 - self._MEMORY, 1 / self.timed[i, f])
       self.seconds[i, f] += rate * (length - self.seconds[i, f])
 
   def summary(self, names: tuple[str, ...]) -> dict[str, float]:
     """Returns MRA and survival, in all and per mode and transition.
 
-    And seconds, in all and per mode: a robot that learns to stay up falls later
-    long before it survives. All are NaN where no episode has ended yet, and
-    those in all are of the others.
+    Adds the mean length of episodes, seconds, in all and per mode: a robot that
+    learns to stay up falls later long before it survives. A value is NaN where
+    no episode has ended yet; means in all leave those out.
     """
     is_known = self.seen > 0
     returns = np.where(is_known, self.returns, np.nan)
     survival = np.where(is_known, self.survival, np.nan)
-    # An earlier version's checkpoint has none.
-    seconds = np.where(self.seconds > 0, self.seconds, np.nan)
+    seconds = np.where(self.timed > 0, self.seconds, np.nan)
     result = {
       'mra_modes': _mean(np.diagonal(returns)),
       'mra_transitions': _mean(returns),
@@ -123,14 +125,15 @@ class ReturnTracker:
 
   def state(self) -> dict[str, np.ndarray]:
     """Returns copies of the state for `restore`."""
-    return {name: getattr(self, name).copy() for name in self._FIELDS}
+    names = (*self._FIELDS, *self._NEW_FIELDS)
+    return {name: getattr(self, name).copy() for name in names}
 
   def restore(self, state: Mapping[str, torch.Tensor]) -> None:
-    """Restores a `state`; those of old have no seconds."""
-    self.seconds[:] = 0.0
+    """Restores a `state`; those of earlier versions have no lengths."""
     for name in self._FIELDS:
-      if name in state or name != 'seconds':
-        getattr(self, name)[:] = state[name].numpy()
+      getattr(self, name)[:] = state[name].numpy()
+    for name in self._NEW_FIELDS:
+      getattr(self, name)[:] = state[name].numpy() if name in state else 0.0
 
 
 def _mean(values: np.ndarray) -> float:

@@ -6,8 +6,8 @@ r"""Checks a robot's declaration: compiles, mirrors, stands and drops it.
 draws its stance, with the feet and the axes of their sites and the trunk, and
 prints all that follows from the declaration and its model. It warns of servos
 that are unlike those of the robots that come along, and ends with exit code 2
-and one line if something is broken. No policy balances it here: a robot that
-falls after a while is none that is broken. See docs/ROBOTS.md.
+and one line if something is broken. No policy balances the robot here: one that
+falls after a while is not broken. See docs/ROBOTS.md.
 """
 
 import sys
@@ -157,6 +157,11 @@ def main(argv: Sequence[str]) -> None:
   if stood.fault:
     raise ValueError(f'{_ROBOT.value}: the robot cannot stand: {stood.fault}.')
   dropped = trial.drop(robot, height, model=model)
+  if dropped.fault:
+    raise ValueError(
+      f'{_ROBOT.value}: dropped by {1000 * height:.0f} mm, the robot fails: '
+      f'{dropped.fault}.'
+    )
   _show(
     [
       ('standing action', _outcome(stood)),

@@ -12,6 +12,10 @@ from typing import Any
 import numpy as np
 import onnxruntime
 
+_SCANNED = 0.09 * np.arange(16) - 0.18  # Metres ahead of the trunk.
+_SCAN_AGE = 0.03  # Seconds from a scan to its use.
+_LEDGE = 0.02  # Metres: smaller steps of the ground are none.
+
 
 class Controller:
   """Observations in, joint targets out; modes and clock inside.
@@ -94,7 +98,7 @@ class Controller:
     return self._anchor + slow * _turn(np.array(local), self.heading)
 
   def steps(self, seconds: float) -> int:
-    """Returns a time in control steps, of a gait to the end of a cycle.
+    """Converts a duration to control steps; rounds gaits up to whole cycles.
 
     There the robot is on the ground, where another mode may begin.
     """
@@ -125,16 +129,16 @@ class Controller:
       qpos, qvel: as for `sense`.
 
     Returns:
-      The support under the trunk, metres; how far ahead the next piece starts
-      that is more than 2 cm higher or lower, infinity for none; and a scan for
-      `act`, [16].
+      The support under the trunk, metres, on the first piece if the trunk is
+      before it; how far along x the next piece starts that is more than 2 cm
+      higher or lower, infinity for none; and a scan for `act`, [16].
     """
     starts, ends, tops = track
-    support = tops[starts <= qpos[0]][-1]
-    is_ledge = (starts > qpos[0]) & (np.abs(tops - support) > 0.02)
+    support = tops[max(np.searchsorted(starts, qpos[0], 'right') - 1, 0)]
+    is_ledge = (starts > qpos[0]) & (np.abs(tops - support) > _LEDGE)
     ledge = (starts[is_ledge] - qpos[0]).min(initial=np.inf)
-    ahead = np.cos(self.heading) * (0.09 * np.arange(16) - 0.18)
-    at = (qpos[0] - 0.03 * qvel[0] + ahead)[:, None]
+    ahead = np.cos(self.heading) * _SCANNED
+    at = (qpos[0] - _SCAN_AGE * qvel[0] + ahead)[:, None]
     heights = np.where((starts <= at) & (at <= ends), tops, -np.inf).max(axis=1)
     return float(support), float(ledge), heights - support
 
@@ -237,6 +241,7 @@ def track_of(model: Any) -> np.ndarray:
   Args:
     model: MjModel with the boxes `segment_0`, `segment_1`, ...
   """
-  boxes = ['segment' in model.geom(i).name for i in range(model.ngeom)]
+  names = [model.geom(i).name for i in range(model.ngeom)]
+  boxes = [name.rpartition('/')[2].startswith('segment_') for name in names]
   middle, half = model.geom_pos[boxes].T, model.geom_size[boxes].T
   return np.stack([(middle - half)[0], *(middle + half)[[0, 2]]])

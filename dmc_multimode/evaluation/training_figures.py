@@ -58,7 +58,7 @@ def draw_returns(
 ) -> matplotlib.figure.Figure:
   """Draws MRA over modes and over transitions along training, by label.
 
-  And the seconds of an episode, unless a run is too old to have them.
+  Adds the lengths of episodes, seconds, if every run has recorded them.
   """
   columns = {'mra_modes': 'modes', 'mra_transitions': 'transitions'}
   if all('seconds' in run for runs in groups.values() for run in runs):

@@ -62,7 +62,7 @@ class QLearningConfig:
     report: Callable[[int, float, float], None],
     stop: object,
   ) -> beam_search.Solution:
-    """Runs all trials; see `q_learning`. They end with their episodes."""
+    """Runs all trials; see `q_learning`. Nothing stops it before their end."""
     del selector, stop
     return q_learning(problem, self, report)
 

@@ -5,10 +5,12 @@ import os
 import time
 from typing import (
   Callable,
+  Hashable,
   Iterable,
   Iterator,
   Mapping,
   NamedTuple,
+  Protocol,
   Sequence,
   TYPE_CHECKING,
 )
@@ -31,11 +33,38 @@ from dmc_multimode.utils import config as config_lib
 if TYPE_CHECKING:
   from dmc_multimode.planner import selector as selector_lib
 
-SearchConfig = (
-  beam_search.BeamConfig
-  | guided_search.GuidedConfig
-  | q_learning.QLearningConfig
-)
+
+class SearchConfig(Hashable, Protocol):
+  """Configuration of a search; all of `PLANNERS` but the selector's are."""
+
+  @property
+  def description(self) -> str:
+    """What the search is called while it runs."""
+
+  def num_worlds(self, num_modes: int) -> int:
+    """Returns the number of worlds that the search takes."""
+
+  def rounds(self, knots: int) -> int:
+    """Returns the number of reports of a search over so many knots."""
+
+  def search(
+    self,
+    problem: problem_lib.ReachingProblem,
+    selector: 'selector_lib.Selector | None',
+    report: Callable[[int, float, float], None],
+    stop: Callable[[float], bool],
+  ) -> beam_search.Solution:
+    """Searches plans; see `beam_search.beam_search`.
+
+    Args:
+      problem: worlds at their start.
+      selector: of a guided search; others do without.
+      report: is told rounds, the best return and the least distance, metres.
+      stop: returns True if there is no time for so many seconds of a plan. Ends
+        searches that have a budget.
+    """
+
+
 PlannerConfig = SearchConfig | steering.SteeringConfig
 PLANNERS: Mapping[str, PlannerConfig] = {  # By name, with their defaults.
   'beam': beam_search.BeamConfig(),

@@ -8,7 +8,7 @@ import tqdm
 
 _EVERY = 30.0  # Seconds between two lines.
 _COUNTS = '{n_fmt}/{total_fmt} [{elapsed}<{remaining}, {rate_fmt}{postfix}]'
-_LINE = '{l_bar} ' + _COUNTS  # As tqdm's, without the bar.
+_LINE = '{desc}: {percentage:3.0f}% ' + _COUNTS  # tqdm's, without the bar.
 
 
 class Bar(tqdm.tqdm):

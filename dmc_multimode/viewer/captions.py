@@ -120,6 +120,7 @@ class Captions:
     reference = tracker.reference()
     tilt = motion.tilt(reference.orientation[0])
     yaw = tracker.state.heading[0] + motion.yaw(reference.orientation[0])
+    yaw = (yaw + np.pi) % (2 * np.pi) - np.pi
     roll, pitch, yaw = np.degrees([*tilt, yaw]).round().astype(int)
     feet = 'feet free'
     if reference.has_contact[0]:
@@ -134,7 +135,7 @@ class Captions:
       for push in self._rollout.pushes
       if 0 < step.time - push.time <= _SHOWN
     )
-    is_reference = np.isnan(step.reward)
+    is_reference = step.is_reference
     return (
       *self._name,
       f'{step.time:.2f} s, {step.speed:.2f} m/s',
@@ -148,7 +149,8 @@ class Captions:
 
   def draw(self, frame: np.ndarray, step: 'rollout_lib.Step') -> np.ndarray:
     """Returns the frame of a step with its caption, uint8 [H, W, 3]."""
-    if step.cause not in ('', 'none') and not self._warning:
+    failed = step.cause != 'none' and not step.is_reference
+    if failed and not self._warning:
       self._warning = f'failed at {step.time:.2f} s: {step.cause}'
     index = self._names.index(step.mode)
     caption = Caption(index, step.mode, self.lines(step), self._warning)

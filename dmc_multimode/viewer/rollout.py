@@ -51,6 +51,11 @@ class Step(NamedTuple):
   reward: float
   cause: str
 
+  @property
+  def is_reference(self) -> bool:
+    """True if a reference was carried, and no robot moved."""
+    return not self.cause
+
 
 class Robot:
   """A policy in a Composer environment of its own, one step at a time.

@@ -34,7 +34,7 @@ def write(
 
   Args:
     robot: to draw.
-    model: of the robot on the ground, see `trial.on_ground`; it stays.
+    model: of the robot on the ground, see `trial.on_ground`; not changed.
     path: of the file.
 
   Raises:

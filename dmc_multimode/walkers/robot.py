@@ -183,8 +183,8 @@ class Declaration:
     for key in table:
       if key not in chosen.values():
         raise ValueError(
-          f'{field}: {key!r:.80} counts for no joint, for others that match '
-          'follow: general patterns come first'
+          f'{field}: {key!r:.80} counts for no joint: its name or a later '
+          'pattern is there for each; general patterns come first'
         )
     for name in self.joints if complete else ():
       if name not in chosen:

@@ -16,6 +16,11 @@ DROP = 0.1  # Share of the standing height from which a robot is dropped.
 SECONDS = 5.0  # Of a trial: tall robots take a second or two to topple.
 _SUNK, _TILTED = 0.1, 0.3  # Shares of the height, and radians: it has fallen.
 _SETTLING = 0.2  # Seconds in which every foot has to feel the ground.
+_DIVERGED = (
+  mujoco.mjtWarning.mjWARN_BADQPOS,
+  mujoco.mjtWarning.mjWARN_BADQVEL,
+  mujoco.mjtWarning.mjWARN_BADQACC,
+)
 
 
 class Trial(NamedTuple):
@@ -82,9 +87,10 @@ def drop(
     tilt = _tilt(data.qpos[3:7])
     # MuJoCo begins anew where the state is not finite, and counts it.
     bursts = bool(
-      np.linalg.norm(data.qvel[:3]) > fastest or data.warning.number.any()
+      np.linalg.norm(data.qvel[:3]) > fastest
+      or any(data.warning[warning].number for warning in _DIVERGED)
     )
-    fallen = sunk > _SUNK * derived.stand_height or tilt > _TILTED
+    fallen = abs(sunk) > _SUNK * derived.stand_height or tilt > _TILTED
     stands = not (fallen or bursts)
   unfelt = [robot.declaration.feet[foot] for foot in np.flatnonzero(~felt)]
   fault = ''

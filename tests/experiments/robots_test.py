@@ -121,7 +121,7 @@ def test_modes_of_two_feet_are_refused(tmp_path: pathlib.Path) -> None:
 
 
 def test_horizons_are_as_long_in_natural_times() -> None:
-  """0.03 / (1 - 0.97) s at 0.5 m; sqrt(2) of that at twice the height."""
+  """1 s at 0.5 m, and in proportion to the square root of the height."""
   default = run_config.RunConfig()
   assert run_config.for_robot(default, robot_lib.mini_biped()) == default
   robot = robot_lib.load(_FILE)

@@ -258,7 +258,7 @@ _FEET = [f'{leg}_foot' for leg in _LEGS]
     ),
     (
       {'servos': {**_SERVOS, 'damping': {'*_knee': 1, '*': 2}}},
-      "servos.damping: '._knee' counts for no joint, for others that match fol",
+      "servos.damping: '._knee' counts for no joint: its name or a later",
     ),
     ({'servos': {'stiffness': 20}}, 'servos.damping: Field required'),
     ({'servos': {**_SERVOS, 'stiffness': -1}}, 'servos.stiffness'),

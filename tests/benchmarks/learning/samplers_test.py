@@ -2,6 +2,7 @@
 
 import json
 import pathlib
+from typing import Any
 
 import pytest
 
@@ -23,7 +24,7 @@ _TINY = (
 )
 
 
-def _row(seed: int, worst: float) -> samplers.Row:
+def _row(seed: int, worst: float) -> dict[str, Any]:
   return {'sampler': 'uniform', 'seed': seed, 'worst_transition': worst}
 
 
