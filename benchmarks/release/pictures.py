@@ -30,13 +30,14 @@ from dmc_multimode.bin import app
 from dmc_multimode.evaluation import figures
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.utils import files
+from dmc_multimode.viewer import video
 
 POLICY = 'pi2'
 # Walk, leap, onto the block that launch calls for, leap on top, stand.
 SCHEDULE = 'walk_forward:2.4,leap_forward:2.4,launch:2,leap_forward:2.4,idle:2'
 _MOMENTS = (1.2, 3.05, 5.45, 7.45, 11.0)  # Seconds, one of each command.
 _SIZE = 360, 270  # Pixels of a film and of a frame.
-_COLOURS = 64  # Of a frame of a film.
+_COLOURS = 56  # Of a frame of a film.
 _NOTE = 'translucent box: where the reference wants the trunk'
 
 _ONLY = flags.DEFINE_list('only', [], 'Pictures to render; all by default.')
@@ -114,9 +115,9 @@ def thin(path: pathlib.Path) -> None:
       if i % 2:
         durations[-1] += frame.info['duration']
         continue
-      plain = PIL.Image.Dither.NONE  # Its noise compresses badly.
-      kept.append(frame.convert('RGB').quantize(_COLOURS, dither=plain))
+      kept.append(frame.convert('RGB'))
       durations.append(frame.info['duration'])
+  kept = video.in_one_palette(kept, _COLOURS)
   content = io.BytesIO()
   kept[0].save(
     content,

@@ -104,7 +104,7 @@ def main(argv: Sequence[str]) -> None:
     print(f'{_COMPARE.value}:')
     for outcome in recording.compared.outcomes:
       print(outcome)
-  print(f'wrote {_OUT.value} ({recording.steps} frames)')
+  print(f'wrote {_OUT.value} ({recording.steps} control steps)')
 
 
 def cli() -> None:

@@ -74,7 +74,9 @@ _WANDB_PROJECT = flags.DEFINE_string(
   'wandb_project', None, 'Also log to this project of Weights and Biases.'
 )
 _MINUTES = flags.DEFINE_float(
-  'minutes', math.inf, 'Stop after this time, with a checkpoint.'
+  'minutes',
+  math.inf,
+  'Stop after this time, with a checkpoint; see --ppo_std_floor.',
 )
 _KEEP_EVERY = flags.DEFINE_integer(
   'keep_every',

@@ -78,7 +78,9 @@ def train(
     robot: declared robot, or its file; the mini biped by default, or that of
       the initial policy or of the run that is resumed, which must be this one.
       Lengths and times of defaults and of the library's modes are scaled to it.
-    minutes: wall-clock limit; training ends where steps or minutes do.
+    minutes: wall-clock limit; training ends where steps or minutes do. A robot
+      may fall without the noise of its actions until that has faded: schedule
+      `ppo_std_floor` for the steps that these minutes allow.
     keep_every: environment steps between policies that are kept permanently; 0
       keeps none.
     device: of the networks.
@@ -372,6 +374,15 @@ def _run(
     logger.close()
   if is_first:
     print(f'{run.loop.steps:,} steps; the policy is in {folder.policy}')
+    floor = run.config.ppo.std_floor
+    if run.loop.steps < floor.end:
+      least, _ = run.config.ppo.std_bounds(run.loop.steps)
+      print(
+        f'Its actions still have a noise of at least {least:.2g} rad, which '
+        f'falls to {floor.last:g} until {floor.end:,} steps (ppo_std_floor): '
+        'without noise, the robot may fall. Resume it, or train anew with a '
+        'schedule that ends in time.'
+      )
   return run.policy()
 
 

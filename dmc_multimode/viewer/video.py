@@ -6,11 +6,14 @@ import fractions
 import math
 import os
 import pathlib
-from typing import Any, Callable, Iterator, Sequence
+from typing import Any, Callable, Iterator, Sequence, TYPE_CHECKING
 
 import numpy as np
 
 from dmc_multimode.utils import files
+
+if TYPE_CHECKING:
+  import PIL.Image
 
 SUFFIX, GIF_SUFFIX = '.mp4', '.gif'
 MAX_SIDE = 4096  # Pixels; the limit of most players.
@@ -20,7 +23,8 @@ _CODEC, _OPTIONS = 'libx264', {'crf': '18', 'preset': 'veryfast'}
 # Playback can start before the download ends.
 _CONTAINER_OPTIONS = {'movflags': '+faststart'}
 _GIF_RATE = 12.5  # Largest frame rate of a GIF, frames per second.
-_GIF_COLOURS = 64  # Of each frame.
+_GIF_COLOURS = 64  # Of all frames: palettes of their own would flicker.
+_GIF_SAMPLES = 1_000_000  # Pixels that the palette is chosen from, about.
 _GIF_TICK = 0.01  # Seconds: unit of durations in a GIF.
 
 # Appends a frame, uint8 [height, width, 3] in RGB.
@@ -145,19 +149,22 @@ def _write_gif(path: pathlib.Path, frame_rate: float) -> Iterator[Append]:
   import PIL.Image
 
   stride, shown = math.ceil(frame_rate / _GIF_RATE), 0
+  plain = PIL.Image.Dither.NONE
   kept: list[PIL.Image.Image] = []
 
   def append(frame: np.ndarray) -> None:
     nonlocal shown
     if shown % stride == 0:
-      plain = PIL.Image.Dither.NONE  # Dithering noise compresses badly.
-      picture = PIL.Image.fromarray(frame)
-      kept.append(picture.quantize(_GIF_COLOURS, dither=plain))
+      # RGB would take three times the memory.
+      kept.append(
+        PIL.Image.fromarray(frame).quantize(_GIF_COLOURS, dither=plain)
+      )
     shown += 1
 
   yield append
   if not kept:
     raise ValueError('There is no frame to write.')
+  kept = in_one_palette(kept, _GIF_COLOURS)
   starts = np.minimum(stride * np.arange(len(kept) + 1), shown) / frame_rate
   kept[0].save(
     path,
@@ -167,6 +174,34 @@ def _write_gif(path: pathlib.Path, frame_rate: float) -> Iterator[Append]:
     duration=_durations(starts),
     loop=0,
   )
+
+
+def in_one_palette(
+  frames: 'Sequence[PIL.Image.Image]', colours: int
+) -> 'list[PIL.Image.Image]':
+  """Returns frames in the colours that serve all of them best.
+
+  Args:
+    frames: of one size; at least one.
+    colours: number of colours, at most 256.
+  """
+  import PIL.Image
+
+  pixels = len(frames) * frames[0].width * frames[0].height
+  apart = max(round(math.sqrt(pixels / _GIF_SAMPLES)), 1)
+  samples = [
+    np.asarray(frame.convert('RGB'))[::apart, ::apart] for frame in frames
+  ]
+  # Median cut would give up the hues of what is small: legs, names of modes.
+  octree = PIL.Image.Quantize.FASTOCTREE
+  palette = PIL.Image.fromarray(np.concatenate(samples)).quantize(
+    colours, method=octree
+  )
+  plain = PIL.Image.Dither.NONE  # Dithering noise compresses badly.
+  return [
+    frame.convert('RGB').quantize(palette=palette, dither=plain)
+    for frame in frames
+  ]
 
 
 def _durations(times: np.ndarray) -> Sequence[int]:

@@ -90,11 +90,9 @@ def test_terrains_are_valid(case: tuple[str, dict[str, float], int]) -> None:
   assert starts[0] < -5.0 and tops[0] == 0.0
   assert ends[-1] > starts[-1] + 10.0
   assert arena.is_random == (len(starts) > 1 and name in _RANDOM)
-  # The paper's problems have their goals at 2 m, whatever the sizes.
-  if name not in reaching.PROBLEMS:
-    goal = reaching.problem(name, drawn, seed).goal
-    reaching.check_goal(goal, drawn)
-    assert name == 'flat' or goal[0] > starts[-1]
+  goal = reaching.problem(name, drawn, seed).goal
+  reaching.check_goal(goal, drawn)
+  assert name == 'flat' or goal[0] > starts[-1]
 
 
 _RANDOM = ('rough', 'parkour', 'obstacle_course', 'gaps_and_blocks')

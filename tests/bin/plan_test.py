@@ -56,7 +56,7 @@ def test_plan_and_record(
   flags = '--policy=quickstart', f'--plan={out}', f'--out={video}', *small
   done = record(*flags)
   assert done.code == 0, done.stderr
-  assert f'wrote {video} (90 frames)' in done.stdout
+  assert f'wrote {video} (90 control steps)' in done.stdout
   done = record(*flags, '--arena=gap')
   assert done.code == 2
   assert '--plan says what --arena would' in done.error

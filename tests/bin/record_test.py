@@ -63,7 +63,7 @@ def test_video(
   for line, mode in ((walk, 'walk_forward'), (leap, 'leap_forward')):
     assert line.startswith(mode)
     assert 'mean speed' in line and 'peak height' in line
-  assert wrote == f'wrote {out} ({_FRAMES} frames)'
+  assert wrote == f'wrote {out} ({_FRAMES} control steps)'
 
   frames, rate = _decode(out)
   assert frames.shape == (_FRAMES, _HEIGHT, _WIDTH, 3)
@@ -96,7 +96,7 @@ def test_goes_on_after_a_fall(
   done = record(*arguments, f'--out={tmp_path / "on.mp4"}')
   assert done.code == 0, done.stderr
   assert 'walk_forward: failed (' in done.stdout
-  assert '(30 frames)' in done.stdout
+  assert '(30 control steps)' in done.stdout
   done = record(*arguments, f'--out={tmp_path / "end.mp4"}', '--terminate')
   assert done.code == 0, done.stderr
   assert 'leap_forward: not reached' in done.stdout

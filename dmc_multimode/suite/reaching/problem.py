@@ -118,12 +118,15 @@ def problem(
 ) -> ReachingConfig:
   """Returns the paper's problem of a track, or else that of crossing it.
 
+  Where sizes of one's own put an edge at the paper's goal or beyond, a robot
+  that stood there would have crossed nothing: then the track is to be crossed.
+
   Args:
     track: its name.
     terrain: a batch of one, as the track drew it.
     seed: of the draw of the terrain.
   """
-  if track in PROBLEMS:
+  if track in PROBLEMS and PROBLEMS[track].goal[0] > _last_edge(terrain):
     x, y, _ = PROBLEMS[track].goal
     top = float(terrain_lib.support_height(terrain, np.array([x]))[0])
     return dataclasses.replace(
@@ -144,9 +147,14 @@ def crossing(terrain: terrain_lib.Terrain, seed: int = 0) -> ReachingConfig:
   last = np.flatnonzero(np.isfinite(terrain.starts[0]))[-1]
   if not last:  # Level ground has no edge to cross.
     return ReachingConfig(seed=seed)
-  x = float(terrain.starts[0, last]) + _BEYOND
+  x = _last_edge(terrain) + _BEYOND
   z = float(terrain.tops[0, last]) + constants.STAND_HEIGHT
   return ReachingConfig((x, 0.0, z), round(x / _SPEED / _KNOT), _KNOT, seed)
+
+
+def _last_edge(terrain: terrain_lib.Terrain) -> float:
+  """Returns where the last segment starts along x, metres."""
+  return float(terrain.starts[np.isfinite(terrain.starts)].max())
 
 
 def random_problem(

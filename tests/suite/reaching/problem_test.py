@@ -156,8 +156,12 @@ def test_problem_of_a_track_of_other_sizes() -> None:
   assert config.knots == round(config.goal[0] / 0.3 / 0.15)
   config = reaching.random_problem(4, 'block_down', {'distance': 1.0})
   np.testing.assert_allclose(config.goal, (1.4, 0.0, 0.1))
-  with pytest.raises(ValueError, match='x = 2 m, is not over the track'):
-    reaching.random_problem(4, 'gap', {'distance': 1.8})
+  # The paper's goal, x = 2 m, would be before the gap, or over it.
+  for distance in (1.8, 3.0):
+    sizes = {'distance': distance, 'width': 0.4}
+    config = reaching.random_problem(4, 'gap', sizes)
+    np.testing.assert_allclose(config.goal, (distance + 0.8, 0.0, 0.5))
+    assert config.knots == round(config.goal[0] / 0.3 / 0.15)
 
 
 @pytest.mark.parametrize(
