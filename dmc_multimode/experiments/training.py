@@ -381,7 +381,8 @@ def _run(
         f'Its actions still have a noise of at least {least:.2g} rad, which '
         f'falls to {floor.last:g} until {floor.end:,} steps (ppo_std_floor): '
         'without noise, the robot may fall. Resume it, or train anew with a '
-        'schedule that ends in time.'
+        'schedule that ends in time.',
+        file=sys.stderr,
       )
   return run.policy()
 

@@ -49,7 +49,7 @@ class BeamConfig:
 
   @property
   def description(self) -> str:
-    """What a search is called while it runs."""
+    """Name of the search, for its progress."""
     return f'{self.beams} beams'
 
   def num_worlds(self, num_modes: int) -> int:

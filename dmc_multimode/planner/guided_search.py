@@ -43,7 +43,7 @@ class GuidedConfig:
 
   @property
   def description(self) -> str:
-    """What a search is called while it runs."""
+    """Name of the search, for its progress."""
     return f'{self.samples} samples'
 
   def num_worlds(self, num_modes: int) -> int:

@@ -42,7 +42,7 @@ class QLearningConfig:
 
   @property
   def description(self) -> str:
-    """What a search is called while it runs."""
+    """Name of the search, for its progress."""
     return f'{self.trials} trials'
 
   def num_worlds(self, num_modes: int) -> int:

@@ -39,7 +39,7 @@ class SearchConfig(Hashable, Protocol):
 
   @property
   def description(self) -> str:
-    """What the search is called while it runs."""
+    """Name of the search, for its progress."""
 
   def num_worlds(self, num_modes: int) -> int:
     """Returns the number of worlds that the search takes."""
