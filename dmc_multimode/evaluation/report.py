@@ -271,9 +271,18 @@ def _flat(
       yield f'{prefix}{key}', text
 
 
+def _heads(name: str) -> tuple[str, str]:
+  """Returns the name of a column of ten characters, on two lines."""
+  first, _, second = name.rpartition('_')
+  if not first and len(name) > 9:
+    first, second = f'{name[:5]}-', name[5:]
+  return first, second
+
+
 def show(values: Mapping[str, Any]) -> None:
   """Prints the report as tables."""
-  print(f'{"mode":16}' + ''.join(f'{name[:9]:>10}' for name in MODE_COLUMNS))
+  for heads in zip(*map(_heads, ('mode', *MODE_COLUMNS)), strict=True):
+    print(f'{heads[0]:16}' + ''.join(f'{head:>10}' for head in heads[1:]))
   for name, row in values['modes'].items():
     print(f'{name:16}' + ''.join(f'{row[key]:10.3f}' for key in MODE_COLUMNS))
   print(

@@ -149,6 +149,17 @@ def on_ground(robot: robot_lib.Robot) -> mujoco.MjModel:
   walker.create_root_joints(arena.attach(walker))
   root = arena.mjcf_model
   root.worldbody.add('geom', type='plane', size=[5, 5, 1])
+  # For pictures: robots may be black, and so is a world without a sky.
+  root.asset.add(
+    'texture',
+    name='sky',
+    type='skybox',
+    builtin='flat',
+    rgb1=[0.85, 0.9, 0.95],
+    width=8,
+    height=48,
+  )
+  root.visual.headlight.ambient = [0.4] * 3
   root.option.timestep = constants.PHYSICS_TIMESTEP
   root.option.integrator = 'implicitfast'
   root.option.cone, root.option.noslip_iterations = 'pyramidal', 0
