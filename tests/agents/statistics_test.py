@@ -62,7 +62,7 @@ def test_a_state_from_before_there_were_seconds() -> None:
   tracker = statistics.ReturnTracker(1, 0.5)
   tracker.update(_results((0, 0, 1.0, 0), lengths=(8,)))
   state = {k: torch.from_numpy(v) for k, v in tracker.state().items()}
-  del state['seconds']
+  del state['seconds'], state['timed']
   tracker.restore(state)
   assert np.isnan(tracker.summary(('a',))['seconds'])
   tracker.update(_results((0, 0, 0.0, 0), lengths=(4,)))
