@@ -90,7 +90,7 @@ def drop(
       np.linalg.norm(data.qvel[:3]) > fastest
       or any(data.warning[warning].number for warning in _DIVERGED)
     )
-    fallen = abs(sunk) > _SUNK * derived.stand_height or tilt > _TILTED
+    fallen = sunk > _SUNK * derived.stand_height or tilt > _TILTED
     stands = not (fallen or bursts)
   unfelt = [robot.declaration.feet[foot] for foot in np.flatnonzero(~felt)]
   fault = ''
