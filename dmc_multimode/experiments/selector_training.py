@@ -149,9 +149,6 @@ class SelectorTraining:
     worlds: in which it learns.
     network: that learns.
     decisions: so far, summed over all worlds.
-    means: running means over episodes of `reached` (the robot stood at the goal
-      in the end), `fell`, and `progress`, the way to the goal, metres; NaN
-      until an episode has ended.
   """
 
   def __init__(self, config: SelectorConfig):
@@ -200,10 +197,21 @@ class SelectorTraining:
     self._generator = torch.Generator().manual_seed(config.seed + 2)
     self._goal = self.worlds.part('goal')
     self.decisions = 0
-    self.means = dict.fromkeys(('reached', 'fell', 'progress'), math.nan)
+    self._means = {'reached': 0.0, 'fell': 0.0, 'progress': 0.0}
     self._episodes = 0
     self._gained = np.zeros(config.num_worlds)
     self._observation = self.worlds.reset()
+
+  @property
+  def means(self) -> dict[str, float]:
+    """Running means over episodes; NaN until one has ended.
+
+    Of `reached` (the robot stood at the goal in the end), `fell`, and
+    `progress`, the way to the goal, metres.
+    """
+    if self._episodes:
+      return dict(self._means)
+    return dict.fromkeys(self._means, math.nan)
 
   def selector(self) -> selector_lib.Selector:
     """Returns the current selector."""
@@ -293,8 +301,7 @@ class SelectorTraining:
       self._episodes += 1
       rate = max(1 - _MEMORY, 1 / self._episodes)
       for name, value in found.items():
-        before = self.means[name] if self._episodes > 1 else 0.0
-        self.means[name] = before + rate * (value - before)
+        self._means[name] += rate * (value - self._means[name])
     self._gained[step.last] = 0.0
 
   def _learn(self, rollouts: _Rollouts) -> dict[str, float]:
@@ -377,7 +384,7 @@ class SelectorTraining:
     tensors['gained'] = self._gained
     return tensors, {
       'steps': self.decisions,
-      'means': {k: None if math.isnan(v) else v for k, v in self.means.items()},
+      'means': dict(self._means),
       'episodes': self._episodes,
     }
 
@@ -399,9 +406,7 @@ class SelectorTraining:
     self._generator.set_state(tensors['generator'])
     self._gained[:] = tensors['gained'].numpy()
     self.decisions = int(values['steps'])
-    self.means = {
-      k: math.nan if v is None else float(v) for k, v in values['means'].items()
-    }
+    self._means = {k: float(v) for k, v in values['means'].items()}
     # Earlier checkpoints do not count them.
     self._episodes = int(values.get('episodes', round(1 / (1 - _MEMORY))))
 
