@@ -228,7 +228,7 @@ class Robot:
     """Number F of the feet."""
     return len(self.declaration.feet)
 
-  @property
+  @functools.cached_property
   def is_mini_biped(self) -> bool:
     """True for the robot of this package, whose kinematics are known."""
     return self == mini_biped()

@@ -602,9 +602,9 @@ class BatchedImitation:
     ids: np.ndarray | slice = slice(None),
   ) -> np.ndarray:
     qpos = self.qpos[ids]
-    parts = self.core.observe(qpos, self.qvel[ids], ids)
-    if self.privileged_size:
-      parts |= self.core.observe_privileged(qpos, ids)
+    parts = self.core.observe(
+      qpos, self.qvel[ids], ids, privileged=self.privileged_size > 0
+    )
     flat = observations.flatten(parts)
     if self._noisy:
       errors = self._sensor_errors[ids]

@@ -380,6 +380,7 @@ class ImitationCore:
     qvel: np.ndarray,
     ids: np.ndarray | slice = slice(None),
     share: float = 0.0,
+    privileged: bool = False,
   ) -> dict[str, np.ndarray]:
     """Returns the parts of the observation by name; see `observations`.
 
@@ -387,22 +388,23 @@ class ImitationCore:
       qpos, qvel: of the worlds `ids`, [N, 7 + J] and [N, 6 + J].
       ids: worlds, [N]; all by default.
       share: of a control step that has passed since the last `advance`.
+      privileged: appends the critic's parts.
     """
     state, extra = self.tracker.state, self.config.extra_observations
     phase, heading = state.phase, state.heading
     if share:
       phase, heading = self.tracker.ahead(share)
     terrain = self._ground(ids)
+    support = terrain_lib.support_height(terrain, qpos[:, 0])
     displacement = np.zeros((len(qpos), 2))
-    if 'displacement' in extra:
-      reference = self.tracker.reference(ids)
-      displacement = qpos[:, :2] - reference.position[:, :2]
+    if 'displacement' in extra or privileged:
+      reference = self.tracker.reference(ids).position
+      displacement = qpos[:, :2] - reference[:, :2]
       displacement += disturbances.odometry_error(
         qpos[:, :2] - state.anchor[ids, :2],
         self.disturbances['odometry_drift'][ids],
       )
-    support = terrain_lib.support_height(terrain, qpos[:, 0])
-    return observations.observe(
+    parts = observations.observe(
       observations.policy_view(
         qpos,
         qvel,
@@ -424,6 +426,23 @@ class ImitationCore:
       ),
       extra,
     )
+    if not privileged:
+      return parts
+    reference[:, 2] += support - self.tracker.expected_support(qpos[:, 0], ids)
+    countdown, following = self.tracker.upcoming(ids)
+    return parts | observations.observe_privileged(
+      observations.CriticView(
+        qpos[:, :3],
+        reference,
+        heading[ids],
+        self.contact[ids],
+        countdown,
+        following,
+        *terrain_lib.next_segment(terrain, qpos[:, 0]),
+        {name: value[ids] for name, value in self.disturbances.items()},
+      ),
+      self.config.observed_terms,
+    )
 
   def _scan(
     self,
@@ -437,29 +456,3 @@ class ImitationCore:
     places = np.cos(heading)[:, None] * np.array(observations.SCAN)
     heights = terrain_lib.profile(terrain, x[:, None] + places)
     return heights - support[:, None]
-
-  def observe_privileged(
-    self, qpos: np.ndarray, ids: np.ndarray | slice = slice(None)
-  ) -> dict[str, np.ndarray]:
-    """Returns the privileged critic observations; see `observations`.
-
-    Args:
-      qpos: of the worlds `ids`, [N, 7 + J].
-      ids: worlds, [N]; all by default.
-    """
-    countdown, following = self.tracker.upcoming(ids)
-    x = qpos[:, 0]
-    terrain = self._ground(ids)
-    return observations.observe_privileged(
-      observations.CriticView(
-        qpos[:, :3],
-        self.reference(x, ids).position,
-        self.tracker.state.heading[ids],
-        self.contact[ids],
-        countdown,
-        following,
-        *terrain_lib.next_segment(terrain, x),
-        {name: value[ids] for name, value in self.disturbances.items()},
-      ),
-      self.config.observed_terms,
-    )

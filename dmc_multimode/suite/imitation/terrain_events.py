@@ -100,14 +100,16 @@ class TerrainEvents:
     Returns:
       The worlds whose terrain changed.
     """
-    terrain = terrain_lib.Terrain(*(field[ids] for field in self._terrain))
+    goes_back = self._tracker.bank.displacements[modes, 0] < 0
+    ids, x = ids[goes_back], x[goes_back]
+    terrain = self._terrain.rows(ids)
     begins = terrain_lib.segment_start(terrain, x)
     has_ledge = begins > terrain.starts[:, 0]
-    goes_back = self._tracker.bank.displacements[modes, 0] < 0
-    mine = goes_back & has_ledge & (x - begins > self._landed)
-    self._terrain.write(
-      ids[mine], terrain_lib.levelled_behind(terrain.rows(mine), x[mine])
-    )
+    mine = has_ledge & (x - begins > self._landed)
+    if mine.any():
+      self._terrain.write(
+        ids[mine], terrain_lib.levelled_behind(terrain.rows(mine), x[mine])
+      )
     return ids[mine]
 
   def _place_ledges(

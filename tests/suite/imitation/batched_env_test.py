@@ -324,9 +324,7 @@ def test_observations_at_the_seam(privileged: bool) -> None:
     step.final_observation, other.observation[ended]
   )
   np.testing.assert_array_equal(step.observation[on], other.observation[on])
-  now = worlds.core.observe(worlds.qpos, worlds.qvel)
-  if privileged:
-    now |= worlds.core.observe_privileged(worlds.qpos)
+  now = worlds.core.observe(worlds.qpos, worlds.qvel, privileged=privileged)
   np.testing.assert_array_equal(step.observation, observations.flatten(now))
   np.testing.assert_array_equal(worlds.core.tracker.state.step[ended], 0)
   assert not np.array_equal(step.observation[ended], step.final_observation)
