@@ -43,8 +43,8 @@ _RESUME = flags.DEFINE_bool('resume', False, 'Go on with the run in --run_dir.')
 _INIT_FROM = config_flags.define_path(
   'init_from',
   None,
-  'A policy to begin with, shipped or a folder; its task and network become '
-  'defaults.',
+  'A policy to begin with, shipped or a folder; its network and its task, '
+  'without pushes, disturbances and sensor noise, become defaults.',
 )
 _MODE_FILE = config_flags.define_path(
   'mode_file', None, 'YAML or JSON file of further modes.'

@@ -21,6 +21,8 @@ from dmc_multimode.modes import motion as motion_lib
 from dmc_multimode.modes.encoder import extension
 from dmc_multimode.modes.encoder import mode_encoder
 from dmc_multimode.pretrained import policy as policy_lib
+from dmc_multimode.suite.imitation import events as events_lib
+from dmc_multimode.suite.imitation import mode_sampler
 from dmc_multimode.suite.imitation import observations
 from dmc_multimode.utils import files
 from dmc_multimode.utils import resources
@@ -57,7 +59,9 @@ class Start:
     """Returns the defaults of a training.
 
     These are the final values of the policy's own training, but for the
-    exploration, which rises again, and the settings for new modes.
+    exploration, which rises again, and the settings for new modes. Robots are
+    neither pushed nor varied, and their sensors have no noise: a policy that is
+    pushed while it learns a squat learns to crouch.
 
     Args:
       motions: the modes of the training.
@@ -80,13 +84,8 @@ class Start:
       advantages='mode',
       kickstarting_weight=_KICKSTARTING_WEIGHT,
     )
-    sampling = dataclasses.replace(
-      before.sampling,
-      gait_fraction=schedule.constant(0.0),
-      focus=','.join(motion.name for motion in self.new(motions)),
-      focus_fraction=schedule.constant(_FOCUS_FRACTION),
-      focus_end=steps,
-    )
+    sampling = _focused(before.sampling, self.new(motions), steps)
+    events = _undisturbed(policy.config.events)
     return run_config.RunConfig(
       modes=','.join(motion.name for motion in motions),
       steps=steps,
@@ -94,9 +93,7 @@ class Start:
       init_modes=','.join(policy.mode_set.names),
       ppo=ppo,
       sampling=sampling,
-      task=dataclasses.replace(
-        policy.config, events=policy.config.events.at_end()
-      ),
+      task=dataclasses.replace(policy.config, events=events),
     )
 
   def new(self, motions: Motions) -> Motions:
@@ -230,6 +227,34 @@ def find_encoder(name: str) -> pathlib.Path:
   raise ValueError(
     f'{name} has no mode encoder beside it: name the folder of the one that it '
     'was trained with, --encoder=DIR.'
+  )
+
+
+def _undisturbed(
+  trained: events_lib.TrainingEvents,
+) -> events_lib.TrainingEvents:
+  """Returns final events, without pushes, disturbances and sensor noise."""
+  none = schedule.constant(0.0)
+  return dataclasses.replace(
+    trained.at_end(),
+    push_speed=none,
+    disturbance_share=none,
+    sensor_noise=none,
+  )
+
+
+def _focused(
+  trained: mode_sampler.SamplingConfig, new: Motions, steps: int
+) -> mode_sampler.SamplingConfig:
+  """Returns final settings of the sampling, with a focus on new modes."""
+  return dataclasses.replace(
+    trained,
+    gait_fraction=schedule.constant(0.0),
+    clock_rate_fraction=schedule.constant(trained.clock_rate_fraction.last),
+    string_fraction=schedule.constant(trained.string_fraction.last),
+    focus=','.join(motion.name for motion in new),
+    focus_fraction=schedule.constant(_FOCUS_FRACTION),
+    focus_end=steps,
   )
 
 

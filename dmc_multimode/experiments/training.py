@@ -71,8 +71,8 @@ def train(
       default 12,000,000, or those of the run that is resumed. Other ones are
       the resumed run's from then on.
     resume: continues the run in the folder, bit for bit.
-    init_from: initial policy, a shipped one or a folder; its task and network
-      become defaults.
+    init_from: initial policy, a shipped one or a folder; its network and its
+      task, without pushes, disturbances and sensor noise, become defaults.
     mode_file: YAML or JSON file of further modes.
     encoder: folder of a trained encoder; trained first by default.
     robot: declared robot, or its file; the mini biped by default, or that of

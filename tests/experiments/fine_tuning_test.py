@@ -56,7 +56,11 @@ def test_defaults_fit_every_shipped_policy(
   assert config.init_modes.split(',') == list(start.policy.mode_set.names)
   assert config.sampling.focused == ('squat',)
   assert config.sampling.gait_fraction == schedule.constant(0.0)
-  assert config.task.events == config.task.events.at_end()
+  events = config.task.events
+  assert events == events.at_end()
+  none = schedule.constant(0.0)
+  assert events.push_speed == events.disturbance_share == none
+  assert events.sensor_noise == none
   least = [config.ppo.std_bounds(steps)[0] for steps in (0, 1000)]
   assert least[1] < 0.5 * least[0]
   # And what a run keeps of it can be read back.
@@ -70,6 +74,10 @@ def test_its_own_training_is_gone_on_with() -> None:
   assert config.ppo.symmetry == run['ppo']['symmetry'] == 'alternate'
   assert config.ppo.discount == run['ppo']['discount']
   assert config.task.gains == task_config.from_dict(run['task']).gains
+  assert config.sampling.clock_rate_fraction == schedule.constant(0.4)
+  assert config.sampling.string_fraction == schedule.constant(0.3)
+  # The value function goes on to observe them.
+  assert config.task.events.disturbances.active
   assert config.sampling.focused == ()
 
 
