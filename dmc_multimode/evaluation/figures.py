@@ -19,7 +19,10 @@ CONTACTS_FILE, CLOCK_RATES_FILE = 'contacts.png', 'clock_rates.png'
 # The paper's sequence of transitions.
 _ORDER = ('walk_forward', 'launch', 'leap_forward', 'idle')
 _SECONDS = 2.4  # Seconds of each mode; two cycles of a leap.
-_FEET = ('left', 'right')
+_FEET = {
+  2: ('left', 'right'),
+  4: ('front left', 'front right', 'hind left', 'hind right'),
+}
 _COLUMNS = 4  # Panels in a row.
 _LABELS = {'reference': 'reference', 'position': 'robot'}
 
@@ -93,8 +96,13 @@ def contacts(
     lengths: control steps of the episodes, [B].
     timestep: seconds of a control step.
   """
-  drawn, panels = _panels(names, 1.8)
-  rows = [(foot, key) for foot in range(2) for key in ('position', 'reference')]
+  feet = _FEET[measured['contact'].shape[-1]]
+  drawn, panels = _panels(names, 0.9 * len(feet))
+  rows = [
+    (foot, key)
+    for foot in range(len(feet))
+    for key in ('position', 'reference')
+  ]
   keys = {'position': 'contact', 'reference': 'reference_contact'}
   for i, (axis, length) in enumerate(zip(panels, lengths, strict=True)):
     for y, (foot, key) in enumerate(rows):
@@ -103,7 +111,7 @@ def contacts(
       spans = np.stack([edges[::2], edges[1::2] - edges[::2]], axis=1)
       colour = 'C0' if key == 'position' else 'C3'
       axis.broken_barh(spans.tolist(), (-y - 0.4, 0.8), color=colour)
-    labels = [f'{_FEET[foot]}, {_LABELS[key]}' for foot, key in rows]
+    labels = [f'{feet[foot]}, {_LABELS[key]}' for foot, key in rows]
     axis.set_yticks(-np.arange(len(rows)), labels, fontsize='small')
   return drawn
 

@@ -41,6 +41,15 @@ def test_contacts_are_drawn_where_feet_stand() -> None:
   ]
 
 
+def test_four_feet_have_names() -> None:
+  contact = np.ones((10, 1, 4))
+  measured = {'contact': contact, 'reference_contact': contact}
+  drawn = figures.contacts(('trot',), measured, np.array([9]), _TIMESTEP)
+  labels = [text.get_text() for text in drawn.axes[0].get_yticklabels()]
+  assert len(labels) == 8
+  assert labels[4:6] == ['hind left, robot', 'hind left, reference']
+
+
 def test_heights_and_clock_rates() -> None:
   measured = _measured(20, 2)
   drawn = figures.heights(

@@ -218,21 +218,18 @@ class ImitationCore:
     )
     return Outcome(reward, terms, errors, reference, cause)
 
-  def reference(
-    self, x: np.ndarray, ids: np.ndarray | slice = slice(None)
-  ) -> reference_lib.Reference:
-    """Returns the references of the worlds `ids`, shifted with the ground.
+  def reference(self, x: np.ndarray) -> reference_lib.Reference:
+    """Returns the references, shifted with the ground.
 
     A motion is shifted vertically by the difference between the support height
     at `x` and the height that the motion expects there.
 
     Args:
-      x: of the trunks, world metres, [N].
-      ids: worlds, [N]; all by default.
+      x: of the trunks, world metres, [B].
     """
-    reference = self.tracker.reference(ids)
+    reference = self.tracker.reference()
     reference.position[:, 2] += resets.lift_of_ground(
-      self.tracker, self._ground(ids), x, ids
+      self.tracker, self.terrain, x
     )
     return reference
 
@@ -388,7 +385,7 @@ class ImitationCore:
       qpos, qvel: of the worlds `ids`, [N, 7 + J] and [N, 6 + J].
       ids: worlds, [N]; all by default.
       share: of a control step that has passed since the last `advance`.
-      privileged: appends the critic's parts.
+      privileged: appends the critic's parts, of the last `advance`.
     """
     state, extra = self.tracker.state, self.config.extra_observations
     phase, heading = state.phase, state.heading
@@ -426,19 +423,35 @@ class ImitationCore:
       ),
       extra,
     )
-    if not privileged:
-      return parts
-    reference[:, 2] += support - self.tracker.expected_support(qpos[:, 0], ids)
+    if privileged:
+      parts |= self._observe_privileged(qpos, reference, ids)
+    return parts
+
+  def _observe_privileged(
+    self,
+    qpos: np.ndarray,
+    reference: np.ndarray,
+    ids: np.ndarray | slice,
+  ) -> dict[str, np.ndarray]:
+    """Returns the critic's parts of the observation by name.
+
+    Args:
+      qpos: of the worlds `ids`, [N, 7 + J].
+      reference: positions on level ground, world metres, [N, 3].
+      ids: worlds, [N].
+    """
+    terrain, x = self._ground(ids), qpos[:, 0]
+    reference[:, 2] += resets.lift_of_ground(self.tracker, terrain, x, ids)
     countdown, following = self.tracker.upcoming(ids)
-    return parts | observations.observe_privileged(
+    return observations.observe_privileged(
       observations.CriticView(
         qpos[:, :3],
         reference,
-        heading[ids],
+        self.tracker.state.heading[ids],
         self.contact[ids],
         countdown,
         following,
-        *terrain_lib.next_segment(terrain, qpos[:, 0]),
+        *terrain_lib.next_segment(terrain, x),
         {name: value[ids] for name, value in self.disturbances.items()},
       ),
       self.config.observed_terms,

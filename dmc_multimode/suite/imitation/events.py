@@ -28,7 +28,7 @@ _CLEARANCE = 0.05  # Metres: clearance at which a swinging foot agrees fully.
 _SWING_HEIGHT = 0.06  # Metres: clearance in the middle of a step's swing.
 _LEAST_SWING = 0.005  # Metres, at its ends.
 _SWING_SLACK = 0.02  # Metres above it that still agree.
-_TOE_DOWN = 0.3  # Share of its agreement that a foot keeps whose toe drags.
+_TOUCHING = 0.3  # Share of its agreement that a swinging foot keeps in contact.
 _ZERO = schedule.constant(0.0)
 
 
@@ -226,12 +226,11 @@ def contact_schedule_agreement(
   foot that should swing agrees in proportion to its clearance, up to a height
   that rises and falls over the swing, 6 cm in its middle, so that the foot is
   set down softly; far above that, it agrees less. In a flight of both feet 5 cm
-  are enough. A foot that swings with its toe on the ground agrees less than one
-  that is off it, however high its middle is. A foot that should stand agrees in
-  contact. The product over a
-  left and a right foot is 0 for a shuffle, which always has one foot right; of
-  four feet, the mean over both pairs counts, so that one that steps is already
-  worth something.
+  are enough. A foot that touches the ground in its swing, as on its toe, keeps
+  0.3 of that, however high its middle is. A foot that should stand agrees in
+  contact. The product over a left and a right foot is 0 for a shuffle, which
+  always has one foot right; of four feet, the mean over both pairs counts, so
+  that one that steps is already worth something.
 
   Args:
     contact, reference_contact: feet on the ground, 0 or 1, [B, F].
@@ -247,7 +246,7 @@ def contact_schedule_agreement(
   stepping = np.clip(clearance / bell, 0.0, 1.0)
   stepping *= np.clip(1.0 - too_high, 0.0, 1.0)
   swing = np.where(np.isnan(progress), swing, stepping)
-  swing *= np.where(contact > 0, _TOE_DOWN, 1.0)
+  swing *= np.where(contact > 0, _TOUCHING, 1.0)
   right = np.where(reference_contact > 0, contact, swing)
   pairs = right.reshape(len(right), -1, 2).prod(axis=2)
   return np.where(has_contact, pairs.mean(axis=1), 1.0)

@@ -462,10 +462,8 @@ def test_without_obstacles_only_edges_are_drawn(share: Any) -> None:
 
 def _heights(core: imitation_core.ImitationCore, *x: float) -> list[float]:
   """Of the first world's reference, where its trunk may be."""
-  first = np.array([0])
   return [
-    float(core.reference(np.array([where]), first).position[0, 2])
-    for where in x
+    float(core.reference(np.array([where])).position[0, 2]) for where in x
   ]
 
 
