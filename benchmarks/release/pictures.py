@@ -56,7 +56,7 @@ _COMMANDS: Mapping[str, tuple[str, str]] = {
       f'dmc_multimode.bin.evaluate --policy={policy} --episodes=1 {more} '
       '--figures={out}',
     )
-    # The paper's figures are of the paper's observation.
+    # The paper's figures are of the paper's observation, but for pi1's heights.
     for name, policy, kind, more in (
       ('pi2', 'pi2_paper', 'heights', ''),
       ('pi2', 'pi2_paper', 'sequence', ''),
@@ -70,10 +70,10 @@ _COMMANDS: Mapping[str, tuple[str, str]] = {
     f'{name}_returns.png': (
       'returns.png',
       'dmc_multimode.bin.curves --out={out} '
-      f'--run=adaptive={{shipped}}/{run}/training.csv '
+      f'--run=adaptive={{shipped}}/{name}_paper/training.csv '
       f'--run=uniform={{shipped}}/{name}_uniform/training.csv',
     )
-    for name, run in (('pi1', 'pi1'), ('pi2', 'pi2_paper'))
+    for name in ('pi1', 'pi2')
   },
   'aliasing.png': (
     'aliasing.png',

@@ -22,6 +22,8 @@ def test_every_shipped_policy_is_evaluated() -> None:
     'unimodal_launch',
   }
   assert parts['curves_pi2_paper'].needs == {'pi2_paper', 'pi2_uniform'}
+  assert parts['curves_pi1_paper'].needs == {'pi1_paper', 'pi1_uniform'}
+  assert set(reproduce.PAPER) <= set(pretrained.names())
 
 
 def test_runs_leave_a_log(tmp_path: pathlib.Path) -> None:
