@@ -31,6 +31,8 @@ class Bar(tqdm.tqdm):
     if self._is_drawn:
       super().display(msg, pos)
       return
+    if self.total:  # Beyond it tqdm would forget it.
+      self.total = max(self.total, self.n)
     is_closing = self.disable  # And `close` ends the line.
     now = time.monotonic()
     if is_closing or now >= self._due:

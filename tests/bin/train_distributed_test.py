@@ -90,7 +90,7 @@ def two(
   (line,) = done.stdout.splitlines()
   policy = folder / 'run' / 'policy'
   assert line == f'{short_run.STEPS} steps; the policy is in {policy}'
-  assert done.stderr.count('0.00/384') == 1
+  assert done.stderr.count('/384 [') == 1
   assert 'error' not in done.stderr and 'Traceback' not in done.stderr
   return folder
 

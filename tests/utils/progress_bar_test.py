@@ -40,6 +40,15 @@ def test_log_has_a_line_every_half_minute(
     assert line.startswith(start)
 
 
+def test_total_is_known_beyond_it(monkeypatch: pytest.MonkeyPatch) -> None:
+  """A training ends with whole iterations."""
+  file = io.StringIO()
+  monkeypatch.setattr(sys, 'stderr', file)
+  with progress_bar.Bar(total=36) as bar:
+    bar.update(40)
+  assert file.getvalue().startswith(': 100% 40/40')
+
+
 def test_terminal_has_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
   text = _run(monkeypatch, _Terminal())
   bars = text.split('\r')
