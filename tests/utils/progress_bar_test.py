@@ -46,7 +46,7 @@ def test_total_is_known_beyond_it(monkeypatch: pytest.MonkeyPatch) -> None:
   monkeypatch.setattr(sys, 'stderr', file)
   with progress_bar.Bar(total=36) as bar:
     bar.update(40)
-  assert file.getvalue().startswith(': 100% 40/40')
+  assert file.getvalue().startswith('100% 40/40')
 
 
 def test_terminal_has_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
