@@ -340,8 +340,7 @@ def _limitations(policy: _Policy) -> Iterator[str]:
     'not, and a new mode takes a training.'
   )
   drawn = events.disturbances.active
-  share = events.disturbance_share
-  if drawn and max(share.first, share.last) > 0:
+  if drawn and events.disturbance_share.largest > 0:
     names = ', '.join(name.replace('_', ' ') for name in drawn)
     yield (
       f'It was trained within the ranges above of {names}: beyond them, expect '

@@ -250,8 +250,8 @@ def _focused(
   return dataclasses.replace(
     trained,
     gait_fraction=schedule.constant(0.0),
-    clock_rate_fraction=schedule.constant(trained.clock_rate_fraction.last),
-    string_fraction=schedule.constant(trained.string_fraction.last),
+    clock_rate_fraction=trained.clock_rate_fraction.at_end(),
+    string_fraction=trained.string_fraction.at_end(),
     focus=','.join(motion.name for motion in new),
     focus_fraction=schedule.constant(_FOCUS_FRACTION),
     focus_end=steps,

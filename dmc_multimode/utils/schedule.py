@@ -43,6 +43,15 @@ class Schedule:
     if self.interpolation == 'geometric' and min(self.first, self.last) <= 0:
       raise ValueError('a geometric schedule needs positive values')
 
+  @property
+  def largest(self) -> float:
+    """Greatest value that it takes."""
+    return max(self.first, self.last)
+
+  def at_end(self) -> 'Schedule':
+    """Returns the schedule that is always `last`."""
+    return constant(self.last)
+
   def at(self, steps: int) -> float:
     """Returns the value after `steps` environment steps."""
     share = self.share(steps)
@@ -124,7 +133,7 @@ def _convert_geometric(value: Any) -> Any:
 
 
 def _check_share(value: Schedule) -> Schedule:
-  if not 0 <= min(value.first, value.last) <= max(value.first, value.last) <= 1:
+  if not 0 <= min(value.first, value.last) <= value.largest <= 1:
     raise ValueError(f'a share is in [0, 1], got {value}')
   return value
 

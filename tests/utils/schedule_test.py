@@ -51,3 +51,12 @@ def test_texts_refused(text: str) -> None:
 def test_schedules_refused(values: tuple[Any, ...]) -> None:
   with pytest.raises(ValueError):
     schedule.Schedule(*values)
+
+
+@pytest.mark.parametrize(
+  ('text', 'largest', 'last'), [('0:2@5', 2, 2), ('3:1@5:9', 3, 1)]
+)
+def test_largest_and_last(text: str, largest: float, last: float) -> None:
+  found = schedule.parse(text)
+  assert found.largest == largest
+  assert found.at_end() == schedule.constant(last)

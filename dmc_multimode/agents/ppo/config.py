@@ -96,9 +96,7 @@ class PPOConfig:
   @property
   def most_deterministic(self) -> float:
     """Largest share of worlds that act without noise, over all steps."""
-    return max(
-      self.deterministic_fraction.first, self.deterministic_fraction.last
-    )
+    return self.deterministic_fraction.largest
 
   def std_bounds(self, steps: int) -> tuple[float, float]:
     """Returns the bounds of the std after `steps`, radians."""

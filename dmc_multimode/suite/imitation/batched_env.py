@@ -118,7 +118,7 @@ class BatchedImitation:
     )
     self._errors = observations.SensorErrors(latent_dim, extra, robot)
     scale = self.config.events.sensor_noise
-    self._noisy = max(scale.first, scale.last) > 0
+    self._noisy = scale.largest > 0
     self._sensor_errors = np.zeros((num_worlds, len(self._errors.noise)))
     self._disturbances = self.config.events.disturbances
     self._soles = np.full((num_worlds, robot.num_feet, 3), np.inf)

@@ -138,7 +138,7 @@ class ImitationConfig:
       motions: of the modes.
     """
     slack = self.events.distance_slack
-    distance = self.limits.distance + max(slack.first, slack.last)
+    distance = self.limits.distance + slack.largest
     for motion in motions:
       motion_lib.check_cycle(motion, self.control_timestep)
       motion_lib.check_start(

@@ -95,12 +95,12 @@ class TrainingEvents:
   @property
   def most_obstacles(self) -> float:
     """Largest share of commands that meet an obstacle, over all steps."""
-    return max(self.obstacles.first, self.obstacles.last)
+    return self.obstacles.largest
 
   def at_end(self) -> 'TrainingEvents':
     """Returns the events at the end of every schedule, as constants."""
     changes: dict[str, Any] = {
-      name: schedule.constant(value.last)
+      name: value.at_end()
       for name, value in vars(self).items()
       if isinstance(value, schedule.Schedule)
     }

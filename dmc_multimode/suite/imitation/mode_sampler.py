@@ -77,7 +77,7 @@ class SamplingConfig:
   @property
   def has_strings(self) -> bool:
     """True if an episode may have more than two commands."""
-    return max(self.string_fraction.first, self.string_fraction.last) > 0
+    return self.string_fraction.largest > 0
 
   @property
   def focused(self) -> tuple[str, ...]:
