@@ -16,17 +16,29 @@ from dmc_multimode.viewer import rollout
 class View(NamedTuple):
   """A camera that follows the robot.
 
+  Lengths are those for the mini biped; `scaled` fits them to other robots.
+
   Attributes:
     azimuth: degrees; 90 looks along +y, with +x to the right.
     elevation: degrees, negative from above.
     distance: to the point looked at, metres.
     ahead: distance of the point looked at from the trunk, metres along x.
+    height: of the point looked at over the support plane, metres.
   """
 
   azimuth: float
   elevation: float
   distance: float
   ahead: float
+  height: float = 0.45
+
+  def scaled(self, size: float) -> 'View':
+    """Returns the view for a robot of this `size`, see `Robot.size`."""
+    return self._replace(
+      distance=self.distance * size,
+      ahead=self.ahead * size,
+      height=self.height * size,
+    )
 
 
 VIEWS: Mapping[str, View] = {
@@ -34,7 +46,6 @@ VIEWS: Mapping[str, View] = {
   'front': View(152.0, -14.0, 2.1, 0.1),
   'overview': View(62.0, -20.0, 4.6, 0.9),
 }
-_AIM_HEIGHT = 0.45  # Metres from the support plane up to that point.
 # Time constants of the view: ledges and leaps must not shake it.
 _LAG = np.array([0.12, 0.4, 0.5])  # Seconds.
 _JUMP = 1.5  # Metres to a target beyond which the view jumps.
@@ -57,17 +68,17 @@ class Aim:
     self._point: np.ndarray | None = None
 
   def follow(
-    self, task: composer_task.Imitation, position: np.ndarray, ahead: float
+    self, task: composer_task.Imitation, position: np.ndarray, view: View
   ) -> np.ndarray:
     """Advances by one control step; returns the point, world metres, [3].
 
     Args:
       task: of the robot.
       position: of the trunk, world metres, [3].
-      ahead: distance of the point from the trunk, metres along x.
+      view: scaled to the robot.
     """
-    support = task.core.support(position[:1])[0]
-    target = np.array([position[0] + ahead, position[1], support + _AIM_HEIGHT])
+    height = task.core.support(position[:1])[0] + view.height
+    target = np.array([position[0] + view.ahead, position[1], height])
     if self._point is None or np.linalg.norm(target - self._point) > _JUMP:
       self._point = target
     share = 1 - np.exp(-task.control_timestep / _LAG)
@@ -102,7 +113,9 @@ class Camera:
     self._physics, self._task, self._ghost = physics, task, ghost
     self._segments = set(physics.bind(task.root_entity.ground_geoms).element_id)
     self._trunk_size = task.config.robot.derived.trunk_size
-    self._view = VIEWS.get(name)
+    self._view: View | None = None
+    if name in VIEWS:
+      self._view = VIEWS[name].scaled(task.config.robot.size)
     self._aim = Aim()
     camera = -1 if self._view else _find(physics, name)
     self._camera = engine.Camera(
@@ -123,7 +136,7 @@ class Camera:
   def _follow(self, view: View) -> None:
     pose = self._camera._render_camera
     position = self._physics.data.qpos[:3].copy()
-    pose.lookat[:] = self._aim.follow(self._task, position, view.ahead)
+    pose.lookat[:] = self._aim.follow(self._task, position, view)
     pose.azimuth, pose.elevation = view.azimuth, view.elevation
     pose.distance = view.distance
 

@@ -15,8 +15,8 @@ from dmc_multimode.arenas import terrain as terrain_lib
 from dmc_multimode.viewer import camera as camera_lib
 from dmc_multimode.viewer import rollout
 
-_VIEW = camera_lib.VIEWS['side']
-_DISTANCE, _NEAR = 3.0, 0.1  # Metres to the robot: initial, least.
+_VIEW = camera_lib.VIEWS['side']._replace(distance=3.0)  # At first.
+_NEAR = 0.1  # Metres; what is nearer is not drawn.
 _ENVIRONMENT = 0.2  # Intensity of the ambient light.
 _FIELD_OF_VIEW = np.radians(45.0)
 _FLAT = 1e-4  # Half-height of boxes drawn for planes, metres.
@@ -53,6 +53,7 @@ class LiveScene:
       robot: any robot of the session: all have the same geoms.
     """
     self._server, self._aim = server, camera_lib.Aim()
+    self._view = _VIEW.scaled(robot.task.config.robot.size)
     self.target = np.zeros(3)
     # These two frames follow the robot; the first is mjviser's.
     self._frames = [
@@ -87,7 +88,7 @@ class LiveScene:
 
   def _set_up_view(self) -> None:
     """Sets up camera and light, cheap enough without a GPU."""
-    azimuth, elevation = np.radians([_VIEW.azimuth, _VIEW.elevation])
+    azimuth, elevation = np.radians([self._view.azimuth, self._view.elevation])
     forward = np.array(
       [
         np.cos(elevation) * np.cos(azimuth),
@@ -96,7 +97,8 @@ class LiveScene:
       ]
     )
     camera = self._server.initial_camera
-    camera.position, camera.look_at = -_DISTANCE * forward, np.zeros(3)
+    camera.position = -self._view.distance * forward
+    camera.look_at = np.zeros(3)
     camera.fov, camera.near = _FIELD_OF_VIEW, _NEAR
     # Shadows are too slow without a GPU; a disc shows the height.
     self._server.scene.configure_default_lights(cast_shadow=False)
@@ -112,7 +114,7 @@ class LiveScene:
     position, data = robot.position, robot.physics.data
     if not np.isfinite(position).all():
       return
-    self.target = self._aim.follow(robot.task, position, _VIEW.ahead)
+    self.target = self._aim.follow(robot.task, position, self._view)
     offset = -self.target
     with self._server.atomic():
       self._show_ground(robot.task.root_entity.terrain, float(position[0]))

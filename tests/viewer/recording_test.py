@@ -9,6 +9,7 @@ import av
 import numpy as np
 import pytest
 
+import dmc_multimode as dmm
 from dmc_multimode import pretrained
 from dmc_multimode import viewer
 from dmc_multimode.modes import library
@@ -17,12 +18,15 @@ from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.planner import pushes as pushes_lib
 from dmc_multimode.suite.imitation import config as task_config
 from dmc_multimode.suite.reaching import problem as reaching
+from dmc_multimode.viewer import camera
 from dmc_multimode.viewer import captions
 from dmc_multimode.viewer import recording
 from dmc_multimode.viewer import reference_rollout
 from dmc_multimode.viewer import rollout
 from dmc_multimode.viewer import video
 from tests.planner import replay
+
+_FOUR_LEGS = pathlib.Path(__file__).parents[1] / 'robots' / 'four_legs.yaml'
 
 
 @pytest.mark.gl
@@ -345,3 +349,16 @@ def test_a_film_of_a_mode_file_without_a_policy(
   for wrong in (neither, {'policy': 'pi2', 'reference': bow}):
     with pytest.raises(ValueError, match='a policy or a reference'):
       viewer.record(schedule='idle:1', **wrong)
+
+
+@pytest.mark.gl
+def test_views_fit_the_robot() -> None:
+  env = dmm.load('trot_forward', random=0, robot=_FOUR_LEGS)
+  env.reset()
+  size, position = env.task.config.robot.size, env.physics.data.qpos[:3]
+  eye = camera.Camera(env.physics, env.task, 'side', 64, 64)
+  eye.render()
+  pose = eye._camera._render_camera
+  assert size < 0.9 and pose.distance == pytest.approx(2.3 * size)
+  aim = [position[0] + 0.15 * size, position[1], 0.45 * size]
+  np.testing.assert_allclose(pose.lookat, aim, atol=1e-9)
