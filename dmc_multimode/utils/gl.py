@@ -6,9 +6,14 @@ leaves PyOpenGL unusable in that process, so backends are tried in another. As
 long as nothing has been drawn, dm_control can be made to read it again: so the
 suite, which must load fast, chooses at the first frame (`choose_late`).
 
+torch's builds for CUDA bring triton, which torch imports when a training
+begins. Triton and Mesa's software renderer have an LLVM each, and Python
+crashes where triton is imported after Mesa has drawn. So it is imported first.
+
 `python -m dmc_multimode.viewer.gl` prints a backend that works.
 """
 
+import contextlib
 import importlib
 import os
 import subprocess
@@ -76,6 +81,7 @@ def choose_backend(probe: Probe = why_not) -> str:
     OSError: If no backend, or not the one that the user has set, works; one
       line that says what to install.
   """
+  _import_triton()
   chosen, taken = os.environ.get(VARIABLE), sys.modules.get(_TAKER)
   late = getattr(taken, 'Renderer', None) is _make_context
   if chosen:
@@ -98,7 +104,10 @@ def choose_late() -> None:
   Call it before dm_control is imported: without a display, its search for one
   then does not happen, nor the warning that there is none.
   """
-  if os.environ.get(VARIABLE) or sys.platform != 'linux':
+  if sys.platform != 'linux':
+    return
+  if os.environ.get(VARIABLE):  # Nobody calls `choose`.
+    _import_triton()
     return
   if _TAKER not in sys.modules and not _has_display():
     before = os.environ.get(VARIABLE)
@@ -136,6 +145,7 @@ def choose() -> None:
   taker: Any = sys.modules.get(_TAKER)
   if getattr(taker, 'Renderer', None) is not _make_context:
     return
+  _import_triton()
   if os.environ.get(VARIABLE) or _display_works():
     importlib.reload(taker)
   else:
@@ -150,6 +160,12 @@ def _make_context(*args: Any, **kwargs: Any) -> Any:
   choose()
   taker: Any = sys.modules[_TAKER]
   return taker.Renderer(*args, **kwargs)
+
+
+def _import_triton() -> None:
+  """Imports triton if it is installed; see the module's docstring."""
+  with contextlib.suppress(ImportError):
+    importlib.import_module('triton')
 
 
 def _has_display() -> bool:

@@ -66,6 +66,24 @@ def test_nothing_that_draws(
   assert os.environ['MUJOCO_GL'] == choice
 
 
+@pytest.mark.parametrize(
+  ('variable', 'code'),
+  [
+    ('', 'gl.choose_backend(lambda backend: None)'),
+    ('', 'gl.choose()'),
+    ('egl', ''),
+  ],
+)
+def test_triton_is_imported_before_anything_is_drawn(
+  variable: str, code: str, tmp_path: pathlib.Path
+) -> None:
+  (tmp_path / 'triton.py').write_text('print("triton")')
+  imports = 'import dmc_multimode.suite; from dmc_multimode.utils import gl'
+  variables = {'MUJOCO_GL': variable, 'PYTHONPATH': str(tmp_path)}
+  done = _run(variables, '-c', f'{imports}; {code}')
+  assert (done.returncode, done.stdout) == (0, 'triton\n'), done.stderr
+
+
 @pytest.mark.gl
 def test_after_dm_control(monkeypatch: pytest.MonkeyPatch) -> None:
   """It draws all the same, as long as nothing has been drawn."""
