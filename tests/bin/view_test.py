@@ -40,11 +40,11 @@ def _url(folder: pathlib.Path) -> str:
   """Waits for the URL that the binary prints."""
   begun = time.monotonic()
   while time.monotonic() - begun < browsers.PATIENCE:
-    out = folder / 'stdout'
+    out = folder / 'stdout0'
     if out.exists() and out.read_text().endswith('\n'):
       return out.read_text().strip()
     time.sleep(0.1)
-  raise AssertionError((folder / 'stderr').read_text())
+  raise AssertionError((folder / 'stderr0').read_text())
 
 
 def test_a_click_on_launch_lands_on_the_block(
