@@ -77,6 +77,8 @@ _SHOWN = {
   'collapse': """benchmarks.paper.aliasing --out={out}/collapse.json
     --policy=pi1_21m --policy=pi1_uniform --modes=idle,leap_left
     --figures={out}/collapse""",
+  'blending': """benchmarks.paper.blending --out={out}/blending.json
+    --policy=pi1 --figures={out}""",
   'switching': """benchmarks.paper.switching --out={out}/switching.json
     --figures={out} --policy=pi2_paper --before=unimodal_walk
     --after=unimodal_launch""",

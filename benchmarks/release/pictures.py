@@ -85,6 +85,10 @@ _COMMANDS: Mapping[str, tuple[str, str]] = {
     'benchmarks.paper.aliasing --policy=pi1_21m --policy=pi1_uniform '
     '--modes=idle,leap_left --figures={out}',
   ),
+  'blending.png': (
+    'blending.png',
+    'benchmarks.paper.blending --policy=pi1 --figures={out}',
+  ),
   'obstacle_sizes.png': (
     'obstacle_sizes.png',
     'benchmarks.paper.obstacle_sizes --policy=pi2 --seeds=3 --seconds=6 '
