@@ -36,6 +36,8 @@ _EVENTS: Mapping[str, str] = {
   'assistance_steps': 'Help at take-offs fades over {} environment steps.',
   'contact_bonus': 'Weight of the bonus for feet that keep to the contacts of '
   'the reference: {}.',
+  'precision_bonus': 'Weight of the bonus for precise tracking of place and '
+  'orientation: {}.',
   'obstacles': 'Share of the commands that meet an obstacle: {}.',
   'push_speed': 'Largest push, m/s: {}.',
   'push_interval': 'Mean time between pushes: {} s.',

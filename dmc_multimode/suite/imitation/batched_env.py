@@ -22,6 +22,7 @@ from dmc_multimode.suite.imitation import events
 from dmc_multimode.suite.imitation import motion_costs
 from dmc_multimode.suite.imitation import mujoco_worlds
 from dmc_multimode.suite.imitation import observations
+from dmc_multimode.suite.imitation import rewards
 from dmc_multimode.suite.imitation import symmetry as task_symmetry
 from dmc_multimode.suite.imitation import terminations
 from dmc_multimode.utils import arrays
@@ -386,17 +387,18 @@ class BatchedImitation:
     core.distance_slack = scheduled.distance_slack.at(steps)
     core.terrain_events.obstacle_share = scheduled.obstacles.at(steps)
 
-  def _bonus(self, outcome: imitation_core.Outcome) -> np.ndarray | float:
-    """Returns the contact-schedule bonus, added to Eq. 3 in training, [B]."""
-    weight = self.config.events.contact_bonus.at(self.steps)
-    if not weight:
-      return 0.0
-    agreement = self.core.contact_schedule_agreement(
-      outcome.reference, self.physics.soles()
-    )
-    return np.where(
-      outcome.cause == terminations.NON_FINITE, 0.0, weight * agreement
-    )
+  def _bonus(self, outcome: imitation_core.Outcome) -> np.ndarray:
+    """Returns the bonuses that are added to Eq. 3 in training, [B]."""
+    scheduled, bonus = self.config.events, np.zeros(self.num_worlds)
+    weight = scheduled.contact_bonus.at(self.steps)
+    if weight:
+      bonus += weight * self.core.contact_schedule_agreement(
+        outcome.reference, self.physics.soles()
+      )
+    weight = scheduled.precision_bonus.at(self.steps)
+    if weight:
+      bonus += weight * rewards.precision(outcome.errors, self.config.gains)
+    return np.where(outcome.cause == terminations.NON_FINITE, 0.0, bonus)
 
   def _costs(self, outcome: imitation_core.Outcome) -> np.ndarray | float:
     """Returns the costs of motions that are not quiet, [B]."""

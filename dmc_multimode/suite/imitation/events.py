@@ -47,6 +47,8 @@ class TrainingEvents:
     contact_bonus: weight of `contact_schedule_agreement`, which is added to the
       reward and not to normalised returns. A gait that has been learned keeps
       with a smaller weight, and then follows its reference more closely.
+    precision_bonus: weight of `rewards.precision`, which is added likewise:
+      without it a steady offset of 2 cm costs less than the noise of returns.
     obstacles: share of the commands that meet an obstacle, see
       `suite.imitation.obstacles`.
     push_speed: largest velocity that a push adds, m/s; see `push`.
@@ -71,6 +73,7 @@ class TrainingEvents:
   distance_slack: schedule.ScheduleField = _ZERO
   assistance_steps: config.Count = 0
   contact_bonus: schedule.ScheduleField = _ZERO
+  precision_bonus: schedule.ScheduleField = _ZERO
   obstacles: schedule.ScheduleField = _ZERO
   push_speed: schedule.ScheduleField = _ZERO
   push_interval: config.Positive = 1.5
@@ -85,7 +88,13 @@ class TrainingEvents:
   cost_share: schedule.ShareField = schedule.constant(1.0)
 
   def __post_init__(self) -> None:
-    for name in ('contact_bonus', 'obstacles', 'push_speed', 'sensor_noise'):
+    for name in (
+      'contact_bonus',
+      'precision_bonus',
+      'obstacles',
+      'push_speed',
+      'sensor_noise',
+    ):
       value = getattr(self, name)
       if min(value.first, value.last) < 0:
         raise ValueError(f'{name} must not be negative, got {value}')

@@ -659,6 +659,22 @@ def test_contact_bonus() -> None:
   np.testing.assert_allclose(bonuses[-1], 0.0, atol=0.01)
 
 
+def test_precision_bonus() -> None:
+  """It is paid on top of Eq. 3, from a step on, and no return counts it."""
+  weight = schedules.Schedule(0.0, 0.2, 16, 16)
+  worlds = _launching(precision_bonus=weight, time_limit=0.09)
+  alone = _launching(time_limit=0.09)
+  for steps in (8, 16, 24):
+    step, other = _stand(worlds), _stand(alone)
+    assert worlds.outcome
+    errors = worlds.outcome.errors
+    expected = 0.2 * np.exp(-25 * (errors['position'] + errors['orientation']))
+    bonus = step.reward - other.reward
+    np.testing.assert_allclose(bonus, expected * (steps >= 16), atol=1e-9)
+  np.testing.assert_array_equal(step.results.returns, other.results.returns)
+  assert len(step.results.worlds) == 8
+
+
 # --- Privileged critic observations.
 
 

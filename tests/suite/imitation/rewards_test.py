@@ -84,6 +84,17 @@ def test_terms_by_hand() -> None:
   np.testing.assert_allclose(terms['contact'], [0.3, 0.0406006], rtol=1e-5)
 
 
+def test_precision_by_hand() -> None:
+  errors = {
+    'position': np.array([0.0, 0.02]),
+    'orientation': np.array([0.0, 0.01]),
+    'contact': np.array([1.0, 1.0]),  # Does not matter, nor do the weights.
+  }
+  found = rewards.precision(errors, rewards.RewardGains())
+  # exp(-5 (5 x 0.02 + 5 x 0.01)).
+  np.testing.assert_allclose(found, [1.0, 0.4723666], rtol=1e-6)
+
+
 def test_defaults_are_those_of_table_i() -> None:
   gains = rewards.RewardGains()
   assert [dataclasses.astuple(gains)[i] for i in range(3)] == [
