@@ -227,7 +227,11 @@ class BatchedImitation:
       outcome.reward[diverged] = 0.0
     self.outcome = outcome
     self._returns += outcome.reward
-    training = self._bonus(outcome) - self._costs(outcome)
+    training = np.where(
+      outcome.cause == terminations.NON_FINITE,
+      0.0,
+      self._bonus(outcome) - self._costs(),
+    )
     self._assist()
     self._push()
     knot = self.core.tracker.state.knot.copy()
@@ -387,9 +391,10 @@ class BatchedImitation:
     core.distance_slack = scheduled.distance_slack.at(steps)
     core.terrain_events.obstacle_share = scheduled.obstacles.at(steps)
 
-  def _bonus(self, outcome: imitation_core.Outcome) -> np.ndarray:
+  def _bonus(self, outcome: imitation_core.Outcome) -> np.ndarray | float:
     """Returns the bonuses that are added to Eq. 3 in training, [B]."""
-    scheduled, bonus = self.config.events, np.zeros(self.num_worlds)
+    scheduled = self.config.events
+    bonus: np.ndarray | float = 0.0
     weight = scheduled.contact_bonus.at(self.steps)
     if weight:
       bonus += weight * self.core.contact_schedule_agreement(
@@ -398,9 +403,9 @@ class BatchedImitation:
     weight = scheduled.precision_bonus.at(self.steps)
     if weight:
       bonus += weight * rewards.precision(outcome.errors, self.config.gains)
-    return np.where(outcome.cause == terminations.NON_FINITE, 0.0, bonus)
+    return bonus
 
-  def _costs(self, outcome: imitation_core.Outcome) -> np.ndarray | float:
+  def _costs(self) -> np.ndarray | float:
     """Returns the costs of motions that are not quiet, [B]."""
     scheduled = self.config.events
     share = scheduled.cost_share.at(self.steps)
@@ -413,7 +418,7 @@ class BatchedImitation:
     self._soles[:] = soles
     costs = share * motion_costs.total(motion, scheduled.costs)
     costs[self.core.recovering > 0] *= scheduled.push_cost_share
-    return np.where(outcome.cause == terminations.NON_FINITE, 0.0, costs)
+    return costs
 
   def _assist(self) -> None:
     """Adds the take-off assistance to the velocities of robots."""
@@ -436,7 +441,7 @@ class BatchedImitation:
   def _conclude(
     self,
     outcome: imitation_core.Outcome,
-    training: np.ndarray | float,
+    training: np.ndarray,
     observation: np.ndarray,
     left: episodes_lib.EpisodeBatch | None,
   ) -> BatchedTimeStep:

@@ -17,6 +17,7 @@ _ASSISTED = np.array([False, True, False, True])
     ({'obstacles': -0.1}, 'obstacles must not be negative'),
     ({'obstacles': '0:1.1@8'}, 'obstacles is a share'),
     ({'push_speed': -0.1}, 'push_speed must not be negative'),
+    ({'precision_bonus': -0.1}, 'precision_bonus must not be negative'),
     ({'contact_bonus': '0.1:-0.1@5'}, 'contact_bonus'),
   ],
 )
