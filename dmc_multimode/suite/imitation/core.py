@@ -292,17 +292,21 @@ class ImitationCore:
   ) -> np.ndarray:
     """Returns `events.contact_schedule_agreement` of the feet, [B].
 
+    Where the reference stands on all feet, a robot that recovers from a push may
+    step, and agrees whatever it does.
+
     Args:
       reference: pose of the mode that is in force.
       soles: world positions of the soles, metres, [B, F, 3].
     """
     swinging, time, length = self.tracker.swing_timing()
     progress = np.where(length > 0, 0.5 + time / np.maximum(length, 1e-9), 0.5)
+    stands = (reference.contact > 0).all(axis=1)
     return events.contact_schedule_agreement(
       self.contact,
       self.clearance(soles) / self.config.robot.size,
       reference.contact,
-      reference.has_contact,
+      reference.has_contact & ~(stands & (self.recovering > 0)),
       np.where(swinging, progress[:, None], np.nan),
     )
 

@@ -28,7 +28,7 @@ _CLEARANCE = 0.05  # Metres: clearance at which a swinging foot agrees fully.
 _SWING_HEIGHT = 0.06  # Metres: clearance in the middle of a step's swing.
 _LEAST_SWING = 0.005  # Metres, at its ends.
 _SWING_SLACK = 0.02  # Metres above it that still agree.
-_TOUCHING = 0.3  # Share of its agreement that a swinging foot keeps in contact.
+_TOUCHING = 0.3  # Share of its agreement that a stepping foot keeps in contact.
 _ZERO = schedule.constant(0.0)
 
 
@@ -46,7 +46,8 @@ class TrainingEvents:
       fades, counted while enough episodes survive; 0 for no assistance.
     contact_bonus: weight of `contact_schedule_agreement`, which is added to the
       reward and not to normalised returns. A gait that has been learned keeps
-      with a smaller weight, and then follows its reference more closely.
+      with a smaller weight, and then follows its reference more closely. For two
+      seconds after a push it is paid wherever the reference stands on all feet.
     precision_bonus: weight of `rewards.precision`, which is added likewise:
       without it a steady offset of 2 cm costs less than the noise of returns.
     obstacles: share of the commands that meet an obstacle, see
@@ -234,9 +235,9 @@ def contact_schedule_agreement(
   Not part of Eq. 3, whose contact term is flat between stance and swing. Here a
   foot that should swing agrees in proportion to its clearance, up to a height
   that rises and falls over the swing, 6 cm in its middle, so that the foot is
-  set down softly; far above that, it agrees less. In a flight of both feet 5 cm
-  are enough. A foot that touches the ground in its swing, as on its toe, keeps
-  0.3 of that, however high its middle is. A foot that should stand agrees in
+  set down softly; far above that, it agrees less; if it touches the ground, as
+  on its toe, it keeps 0.3 of its agreement, however high its middle is. In a
+  flight of both feet 5 cm are enough. A foot that should stand agrees in
   contact. The product over a left and a right foot is 0 for a shuffle, which
   always has one foot right; of four feet, the mean over both pairs counts, so
   that one that steps is already worth something.
@@ -254,8 +255,8 @@ def contact_schedule_agreement(
   too_high = (clearance - bell - _SWING_SLACK) / _SWING_HEIGHT
   stepping = np.clip(clearance / bell, 0.0, 1.0)
   stepping *= np.clip(1.0 - too_high, 0.0, 1.0)
+  stepping *= np.where(contact > 0, _TOUCHING, 1.0)
   swing = np.where(np.isnan(progress), swing, stepping)
-  swing *= np.where(contact > 0, _TOUCHING, 1.0)
   right = np.where(reference_contact > 0, contact, swing)
   pairs = right.reshape(len(right), -1, 2).prod(axis=2)
   return np.where(has_contact, pairs.mean(axis=1), 1.0)

@@ -659,6 +659,20 @@ def test_contact_bonus() -> None:
   np.testing.assert_allclose(bonuses[-1], 0.0, atol=0.01)
 
 
+def test_pushed_robots_may_step() -> None:
+  """A foot that is up agrees where both should stand, and only there."""
+  worlds = _launching()
+  reference = worlds.core.tracker.reference()
+  worlds.core.contact[:] = [1.0, 0.0]
+  worlds.core.recovering[:4] = 1.0
+  for wanted, expected in (((1.0, 1.0), 1.0), ((0.0, 1.0), 0.0)):
+    agreement = worlds.core.contact_schedule_agreement(
+      reference._replace(contact=np.tile(wanted, (8, 1))),
+      worlds.physics.soles(),
+    )
+    np.testing.assert_array_equal(agreement, [expected] * 4 + [0.0] * 4)
+
+
 def test_precision_bonus() -> None:
   """It is paid on top of Eq. 3, from a step on, and no return counts it."""
   weight = schedules.Schedule(0.0, 0.2, 16, 16)
