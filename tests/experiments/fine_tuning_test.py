@@ -75,7 +75,7 @@ def test_its_own_training_is_gone_on_with() -> None:
   assert config.ppo.discount == run['ppo']['discount']
   assert config.task.gains == task_config.from_dict(run['task']).gains
   assert config.sampling.clock_rate_fraction == schedule.constant(0.4)
-  assert config.sampling.string_fraction == schedule.constant(0.3)
+  assert config.sampling.string_fraction == schedule.constant(0.4)
   # The value function goes on to observe them.
   assert config.task.events.disturbances.active
   assert config.sampling.focused == ()
