@@ -3,7 +3,7 @@
     python -m benchmarks.reliability.autopilot --selector=DIR --minutes=10
 
 Prints falls and metres a minute of simulated time. After a fall the robot lies
-for a moment, and is put back to the start of the track.
+for a moment, and is put on new ground.
 """
 
 import functools

@@ -78,7 +78,7 @@ class Robot:
       policy: to roll out.
       task: made for that policy.
       limits: for `Step.cause`; the task's own limits end the episode.
-      seed: of the terrain and of the initial state's noise, at each reset.
+      seed: of the terrain and of the initial state's noise, at a reset.
     """
     self.task, self.over = task, False
     self._policy, self._limits, self._seed = policy, limits, seed
@@ -108,9 +108,10 @@ class Robot:
     """Position of the trunk, world metres, [3]."""
     return self.physics.data.qpos[:3].copy()
 
-  def reset(self) -> None:
-    """Begins the episode of the seed, always the same."""
-    self._environment.random_state.seed(self._seed)
+  def reset(self, anew: bool = False) -> None:
+    """Begins the episode of the seed, always the same; or, anew, the next."""
+    if not anew:
+      self._environment.random_state.seed(self._seed)
     self._environment.reset()
     self.over = False
     period = self.task.config.control_timestep

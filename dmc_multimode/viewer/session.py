@@ -370,8 +370,11 @@ class LiveSession:
       self._survival.fall()
     self._lying += 1
     if self._lying * self.robot.task.control_timestep > _LIE:
-      self.robot.reset()
-      self._start(f'{self.notice} It was put back to the start.')
+      # The obstacles of an endless track would fell it at the same place again.
+      anew = self.arena == ENDLESS
+      self.robot.reset(anew)
+      where = 'on new ground' if anew else 'back to the start'
+      self._start(f'{self.notice} It was put {where}.')
 
   def _take_plan(self) -> None:
     """Takes the result of a finished search."""

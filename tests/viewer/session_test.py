@@ -99,6 +99,23 @@ def test_a_fall_is_told_and_undone(session: session_lib.LiveSession) -> None:
   assert session.step().notice == ''
 
 
+def test_a_robot_that_falls_on_the_endless_track_starts_on_new_ground(
+  session: session_lib.LiveSession,
+) -> None:
+  session.set_arena(session_lib.ENDLESS)
+  starts = session.robot.task.root_entity.terrain.starts.copy()
+  for _ in range(3):
+    session.push((0.0, 3.0))
+  _run(session, 3.0, lambda state: state.down)
+  state = _run(session, 3.0, lambda state: not state.down)
+  assert 'on new ground' in state.notice
+  terrain = session.robot.task.root_entity.terrain
+  assert not np.array_equal(terrain.starts, starts)
+  session.reset()
+  again = session.robot.task.root_entity.terrain.starts
+  np.testing.assert_array_equal(again, starts)
+
+
 def test_a_state_that_is_not_finite_is_told_and_undone(
   session: session_lib.LiveSession,
 ) -> None:
