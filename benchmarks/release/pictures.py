@@ -29,6 +29,7 @@ from dmc_multimode import viewer
 from dmc_multimode.bin import app
 from dmc_multimode.evaluation import figures
 from dmc_multimode.planner import plan as plan_lib
+from dmc_multimode.utils import constants
 from dmc_multimode.utils import files
 from dmc_multimode.viewer import video
 
@@ -36,7 +37,9 @@ POLICY = 'pi2'
 # Walk, leap, onto the block that launch calls for, leap on top, stand.
 SCHEDULE = 'walk_forward:2.4,leap_forward:2.4,launch:2,leap_forward:2.4,idle:2'
 _MOMENTS = (1.2, 3.05, 5.45, 7.45, 11.0)  # Seconds, one of each command.
+_COMPARED = 'idle:1,walk_forward:2.4,leap_forward:1.2,launch:2,idle:1'
 _SIZE = 360, 270  # Pixels of a film and of a frame.
+_SMALL = 240, 200  # Pixels of one of two films beside each other.
 _COLOURS = 56  # Of a frame of a film.
 _NOTE = 'translucent box: where the reference wants the trunk'
 
@@ -147,23 +150,49 @@ def _plan(arena: str, planner: str = 'beam') -> plan_lib.PlanResult:
   return found
 
 
+def _frames(
+  policy: str, config: viewer.RolloutConfig, size: tuple[int, int] = _SIZE
+) -> Iterator[tuple[np.ndarray, Any]]:
+  """Yields frame and step of every control step."""
+  viewer.choose_backend()
+  from dmc_multimode.viewer import camera
+
+  rolled = viewer.Rollout(dmm.load_policy(policy), config)
+  camera.prepare(rolled.task, *size)
+  eye = viewer.Camera(rolled.start(), rolled.task, 'side', *size)
+  for step in rolled.steps():
+    yield eye.render(), step
+
+
 def _shots(
   config: viewer.RolloutConfig, moments: Sequence[float]
 ) -> Iterator[tuple[np.ndarray, Any]]:
   """Yields frame and step at these times, seconds."""
-  viewer.choose_backend()
-  from dmc_multimode.viewer import camera
-
-  width, height = _SIZE
-  rolled = viewer.Rollout(dmm.load_policy(POLICY), config)
-  camera.prepare(rolled.task, width, height)
-  eye = viewer.Camera(rolled.start(), rolled.task, 'side', width, height)
-  period, left = rolled.task.control_timestep, list(moments)
-  for step in rolled.steps():
-    frame = eye.render()  # In every step: the view follows the robot.
-    if left and step.time > left[0] - period / 2:
+  left = list(moments)
+  # Every step is drawn: the view follows the robot.
+  for frame, step in _frames(POLICY, config):
+    if left and step.time > left[0] - constants.CONTROL_TIMESTEP / 2:
       del left[0]
       yield frame, step
+
+
+def _rollout(schedule: str) -> viewer.RolloutConfig:
+  """Returns the roll-out of a schedule, mode:seconds joined by commas."""
+  modes, seconds = zip(
+    *(part.split(':') for part in schedule.split(',')), strict=True
+  )
+  return viewer.RolloutConfig(modes, tuple(map(float, seconds)))
+
+
+def _compared(path: pathlib.Path) -> None:
+  """Films pi2_paper and pi2 beside each other, under the same commands."""
+  both = [
+    _frames(name, _rollout(_COMPARED), _SMALL) for name in ('pi2_paper', POLICY)
+  ]
+  with video.open_writer(path, 1 / constants.CONTROL_TIMESTEP) as append:
+    for pair in zip(*both, strict=True):
+      append(np.hstack([frame for frame, _ in pair]))
+  thin(path)
 
 
 def _strip(
@@ -188,11 +217,7 @@ def _strip(
 
 def _modes(path: pathlib.Path) -> None:
   """Draws a moment of each of pi2's modes."""
-  pairs = [part.split(':') for part in SCHEDULE.split(',')]
-  config = viewer.RolloutConfig(
-    tuple(mode for mode, _ in pairs), tuple(float(s) for _, s in pairs)
-  )
-  _strip(path, config, _MOMENTS)
+  _strip(path, _rollout(SCHEDULE), _MOMENTS)
 
 
 def _plan_frames(path: pathlib.Path) -> None:
@@ -268,6 +293,7 @@ def _tour(path: pathlib.Path) -> None:
 
 PICTURES: Mapping[str, Callable[[pathlib.Path], None]] = {
   'pi2.gif': functools.partial(_film, schedule=SCHEDULE),
+  'before_after.gif': _compared,
   'parkour.gif': _parkour,
   # Of the extra `robots`.
   'go1.gif': functools.partial(

@@ -1,11 +1,14 @@
 """Guided search: plans sampled from a selector, weeded out by its values.
 
 A selector commands many robots at once: one takes the likeliest modes, the
-others sample. A robot that falls goes on from the state of one that stands and
-has the best prospects, by the selector's values, as particles are resampled in
-sequential Monte Carlo. The search ends as soon as a robot stands at the goal.
+others sample, each at a higher temperature than the one before, so that plans
+are found which the selector itself would hardly choose. A robot that falls goes
+on from the state of one that stands and has the best prospects, by the
+selector's values, as particles are resampled in sequential Monte Carlo. The
+search ends as soon as a robot stands at the goal.
 """
 
+import dataclasses
 from typing import Callable, Iterator, TYPE_CHECKING
 
 import numpy as np
@@ -29,11 +32,13 @@ class GuidedConfig:
     attempts: number of such searches until a plan succeeds, each with twice the
       samples of the one before; a beam search follows. With a budget of seconds
       it does not matter, and none follows.
+    temperature: of the last robot; see `Selector.sample`.
     folder: of the selector; by default the one beside the policy.
   """
 
   samples: config_lib.PositiveInt = 32
   attempts: config_lib.PositiveInt = 2
+  temperature: config_lib.Positive = 8.0
   folder: str = ''
 
   @property
@@ -64,13 +69,13 @@ class GuidedConfig:
   ) -> beam_search.Solution:
     """Runs one search; see `guided_search`. A `Solver` has its selector."""
     assert selector is not None
-    return guided_search(problem, selector, report, stop)
+    return guided_search(problem, selector, report, stop, self.temperature)
 
   def escalation(self) -> 'list[GuidedConfig | beam_search.BeamConfig]':
     """Returns one config per attempt, and those of the beam search."""
     return [
       *(
-        GuidedConfig(self.samples << i, 1, self.folder)
+        dataclasses.replace(self, samples=self.samples << i, attempts=1)
         for i in range(self.attempts)
       ),
       *beam_search.BeamConfig().escalation(),
@@ -79,7 +84,7 @@ class GuidedConfig:
   def doubling(self) -> 'Iterator[GuidedConfig]':
     """Yields configs with ever more samples, for as long as there is memory."""
     for samples in beam_search.doublings(self.samples):
-      yield GuidedConfig(samples, 1, self.folder)
+      yield dataclasses.replace(self, samples=samples, attempts=1)
 
 
 def guided_search(
@@ -87,6 +92,7 @@ def guided_search(
   selector: 'selector_lib.Selector',
   report: Callable[[int, float, float], None] = lambda *args: None,
   stop: Callable[[float], bool] = lambda ahead: False,
+  temperature: float = GuidedConfig.temperature,
 ) -> beam_search.Solution:
   """Samples plans from a selector, one a world.
 
@@ -94,6 +100,7 @@ def guided_search(
     problem: of the track; its knots are as long as the selector's.
     selector: of the problem's policy.
     report, stop: see `beam_search`.
+    temperature: see `GuidedConfig`.
 
   Returns:
     Plans of the knots, which go on with rest where the search ended earlier:
@@ -111,7 +118,9 @@ def guided_search(
   returns, rollouts = np.zeros(worlds), 0
   alive = standing = np.zeros(worlds, dtype=bool)
   for knot in range(knots):
-    modes = selector.sample(problem.observe(), problem.obeyed(), random_state)
+    modes = selector.sample(
+      problem.observe(), problem.obeyed(), random_state, temperature
+    )
     progress = problem.run_knot(modes)
     plans[:, knot] = modes
     returns += progress.reward

@@ -140,6 +140,7 @@ class Selector:
     observations: np.ndarray,
     obeyed: np.ndarray,
     random_state: np.random.RandomState,
+    temperature: float = 1.0,
   ) -> np.ndarray:
     """Returns a mode for each world, [B]: drawn; in the first the likeliest.
 
@@ -147,10 +148,13 @@ class Selector:
       observations: float32 [B, D].
       obeyed: modes that may be chosen, [B, M].
       random_state: source of the draws.
+      temperature: by which the last world divides its log-probabilities; the
+        first's is 1, and those between form a geometric series.
     """
     scores = self.network(
       torch.from_numpy(observations), torch.from_numpy(obeyed)
     ).numpy()
+    scores /= np.geomspace(1.0, temperature, len(scores))[:, None]
     # The largest of log-probabilities with Gumbel noise is a draw.
     noise = random_state.gumbel(size=scores.shape)
     noise[0] = 0.0

@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+import torch
 
 import dmc_multimode as dmm
 from dmc_multimode import planner
 from dmc_multimode.planner import beam_search
 from dmc_multimode.planner import guided_search
 from dmc_multimode.planner import solver as solver_lib
+from dmc_multimode.planner import steering
 from dmc_multimode.suite.reaching import environment
 from dmc_multimode.suite.reaching import problem as reaching
 from tests.planner import replay
@@ -59,6 +61,29 @@ def test_beams_follow_where_samples_fail() -> None:
     config.samples for config in guided_search.GuidedConfig().doubling()
   ]
   assert endless == [32, 64, 128, 256, 512, 1024, 2048, 4096]
+
+
+def test_robots_draw_at_rising_temperatures() -> None:
+  selector = steering.load(steering.SteeringConfig(), 'pi2')
+  seen = np.zeros(sum(size for _, size in selector.layout), dtype=np.float32)
+  obeyed = np.array([True, True, False, True])
+  scores = selector.network(
+    torch.from_numpy(seen[None]), torch.from_numpy(obeyed[None])
+  )[0]
+  random_state = np.random.RandomState(0)
+  drawn = np.array(
+    [
+      selector.sample(
+        np.tile(seen, (3, 1)), np.tile(obeyed, (3, 1)), random_state, 9.0
+      )
+      for _ in range(4000)
+    ]
+  )
+  assert set(drawn[:, 0]) == {int(scores.argmax())}
+  for world, temperature in ((1, 3.0), (2, 9.0)):
+    wanted = torch.softmax(scores / temperature, 0).detach().numpy()
+    found = np.bincount(drawn[:, world], minlength=4) / len(drawn)
+    np.testing.assert_allclose(found, wanted, atol=0.03)
 
 
 def test_fallen_robots_go_on_from_those_with_the_best_prospects() -> None:

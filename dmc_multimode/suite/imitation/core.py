@@ -292,8 +292,8 @@ class ImitationCore:
   ) -> np.ndarray:
     """Returns `events.contact_schedule_agreement` of the feet, [B].
 
-    Where the reference stands on all feet, a robot that recovers from a push may
-    step, and agrees whatever it does.
+    Where the reference stands on all feet, a robot that recovers from a push
+    may step, and agrees whatever it does.
 
     Args:
       reference: pose of the mode that is in force.

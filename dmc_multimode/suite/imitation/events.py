@@ -46,8 +46,9 @@ class TrainingEvents:
       fades, counted while enough episodes survive; 0 for no assistance.
     contact_bonus: weight of `contact_schedule_agreement`, which is added to the
       reward and not to normalised returns. A gait that has been learned keeps
-      with a smaller weight, and then follows its reference more closely. For two
-      seconds after a push it is paid wherever the reference stands on all feet.
+      with a smaller weight, and then follows its reference more closely. For
+      two seconds after a push it is paid wherever the reference stands on all
+      feet.
     precision_bonus: weight of `rewards.precision`, which is added likewise:
       without it a steady offset of 2 cm costs less than the noise of returns.
     obstacles: share of the commands that meet an obstacle, see
