@@ -288,7 +288,7 @@ def _selector(policy: _Policy) -> Iterator[str]:
     return
   provenance = policy.selector['provenance']
   training = provenance['training']
-  tracks = ' or '.join(training['arena'].split('+'))
+  tracks = ' or '.join(dict.fromkeys(training['arena'].split('+')))
   yield '## Selector'
   yield ''
   yield (

@@ -16,7 +16,7 @@ import pathlib
 import subprocess
 import sys
 import tempfile
-from typing import Any, Callable, Iterator, Mapping, Sequence
+from typing import Any, Callable, Iterable, Iterator, Mapping, Sequence
 
 from absl import flags
 import numpy as np
@@ -40,6 +40,7 @@ _MOMENTS = (1.2, 3.05, 5.45, 7.45, 11.0)  # Seconds, one of each command.
 _COMPARED = 'idle:1,walk_forward:2.4,leap_forward:1.2,launch:2,idle:1'
 _SIZE = 360, 270  # Pixels of a film and of a frame.
 _SMALL = 240, 200  # Pixels of one of two films beside each other.
+_LONG = 320, 180  # Pixels of a long film: all together are small.
 _COLOURS = 56  # Of a frame of a film.
 _NOTE = 'translucent box: where the reference wants the trunk'
 
@@ -164,6 +165,14 @@ def _frames(
     yield eye.render(), step
 
 
+def _write(path: pathlib.Path, frames: Iterable[np.ndarray]) -> None:
+  """Writes the frames of control steps into a GIF."""
+  with video.open_writer(path, 1 / constants.CONTROL_TIMESTEP) as append:
+    for frame in frames:
+      append(frame)
+  thin(path)
+
+
 def _shots(
   config: viewer.RolloutConfig, moments: Sequence[float]
 ) -> Iterator[tuple[np.ndarray, Any]]:
@@ -189,10 +198,9 @@ def _compared(path: pathlib.Path) -> None:
   both = [
     _frames(name, _rollout(_COMPARED), _SMALL) for name in ('pi2_paper', POLICY)
   ]
-  with video.open_writer(path, 1 / constants.CONTROL_TIMESTEP) as append:
-    for pair in zip(*both, strict=True):
-      append(np.hstack([frame for frame, _ in pair]))
-  thin(path)
+  _write(
+    path, (np.hstack([f for f, _ in pair]) for pair in zip(*both, strict=True))
+  )
 
 
 def _strip(
@@ -220,15 +228,21 @@ def _modes(path: pathlib.Path) -> None:
   _strip(path, _rollout(SCHEDULE), _MOMENTS)
 
 
+def _carried_out(found: plan_lib.PlanResult) -> viewer.RolloutConfig:
+  """Returns the roll-out of a plan, with its rest."""
+  names, durations = found.plan.segments()
+  return viewer.RolloutConfig(
+    (*names, 'idle'),
+    (*durations, plan_lib.REST),
+    **found.course._asdict(),
+    imitation=False,
+  )
+
+
 def _plan_frames(path: pathlib.Path) -> None:
   """Draws five moments of the plan across the gap and onto the block."""
-  found = _plan('gap_block')
-  names, durations = found.plan.segments()
-  course = found.course._asdict()
-  config = viewer.RolloutConfig(
-    (*names, 'idle'), (*durations, plan_lib.REST), **course, imitation=False
-  )
-  end = sum(durations)
+  config = _carried_out(_plan('gap_block'))
+  end = sum(config.durations) - plan_lib.REST
   _strip(path, config, np.linspace(0.15 * end, end + 0.9, 5).tolist())
 
 
@@ -243,8 +257,9 @@ def _parkour(path: pathlib.Path) -> None:
   modes = [*found.plan.modes]
   while modes[-1] == 'idle':  # It stands at the goal until time is up.
     modes.pop()
-  shorter = dataclasses.replace(found.plan, modes=tuple(modes))
-  _film(path, plan=dataclasses.replace(found.file(), plan=shorter))
+  plan = dataclasses.replace(found.plan, modes=tuple(modes))
+  config = _carried_out(dataclasses.replace(found, plan=plan))
+  _write(path, (frame for frame, _ in _frames(POLICY, config, _LONG)))
 
 
 def _command(name: str, path: pathlib.Path) -> None:
