@@ -41,9 +41,9 @@ class Carried(rollout.Robot):
     physics.model.geom_rgba[physics.bind(geoms).element_id, 3] = 0.0
     return physics
 
-  def reset(self) -> None:
+  def reset(self, anew: bool = False) -> None:
     """See `Robot.reset`."""
-    super().reset()
+    super().reset(anew)
     self._carry()
     self._path.clear()
     self._path.append(self.position)
