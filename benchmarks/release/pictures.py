@@ -9,7 +9,6 @@ not among them: a browser takes it. The tour takes the extra `docs`, and six
 minutes of trainings: it runs when --only names it.
 """
 
-import dataclasses
 import functools
 import io
 import pathlib
@@ -31,6 +30,7 @@ from dmc_multimode.evaluation import figures
 from dmc_multimode.planner import plan as plan_lib
 from dmc_multimode.utils import constants
 from dmc_multimode.utils import files
+from dmc_multimode.viewer import recording
 from dmc_multimode.viewer import video
 
 POLICY = 'pi2'
@@ -186,11 +186,8 @@ def _shots(
 
 
 def _rollout(schedule: str) -> viewer.RolloutConfig:
-  """Returns the roll-out of a schedule, mode:seconds joined by commas."""
-  modes, seconds = zip(
-    *(part.split(':') for part in schedule.split(',')), strict=True
-  )
-  return viewer.RolloutConfig(modes, tuple(map(float, seconds)))
+  """Returns the roll-out of a schedule."""
+  return viewer.RolloutConfig(**recording.scheduled(schedule, 'flat', 0))
 
 
 def _compared(path: pathlib.Path) -> None:
@@ -229,20 +226,15 @@ def _modes(path: pathlib.Path) -> None:
 
 
 def _carried_out(found: plan_lib.PlanResult) -> viewer.RolloutConfig:
-  """Returns the roll-out of a plan, with its rest."""
-  names, durations = found.plan.segments()
-  return viewer.RolloutConfig(
-    (*names, 'idle'),
-    (*durations, plan_lib.REST),
-    **found.course._asdict(),
-    imitation=False,
-  )
+  """Returns the roll-out of a plan; it ends soon after the robot stands."""
+  known = dmm.load_policy(POLICY).mode_set
+  return viewer.RolloutConfig(**recording.planned(found.file(), known))
 
 
 def _plan_frames(path: pathlib.Path) -> None:
   """Draws five moments of the plan across the gap and onto the block."""
-  config = _carried_out(_plan('gap_block'))
-  end = sum(config.durations) - plan_lib.REST
+  found = _plan('gap_block')
+  config, end = _carried_out(found), sum(found.plan.segments()[1])
   _strip(path, config, np.linspace(0.15 * end, end + 0.9, 5).tolist())
 
 
@@ -253,12 +245,7 @@ def _plan_figure(path: pathlib.Path) -> None:
 
 def _parkour(path: pathlib.Path) -> None:
   """Films pi2 over 9 m of gaps and blocks, commanded by its selector."""
-  found = _plan('gaps_and_blocks', 'selector')
-  modes = [*found.plan.modes]
-  while modes[-1] == 'idle':  # It stands at the goal until time is up.
-    modes.pop()
-  plan = dataclasses.replace(found.plan, modes=tuple(modes))
-  config = _carried_out(dataclasses.replace(found, plan=plan))
+  config = _carried_out(_plan('gaps_and_blocks', 'selector'))
   _write(path, (frame for frame, _ in _frames(POLICY, config, _LONG)))
 
 

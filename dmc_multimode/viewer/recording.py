@@ -187,7 +187,7 @@ def record(
     known = _mode_set(policy)
   elif plan is not None and schedule is None:
     known = _mode_set(policy)
-    what = _planned(plan, known)
+    what = planned(plan, known)
   else:
     raise ValueError('Say what to record: a schedule or a plan.')
   earlier = None
@@ -315,7 +315,7 @@ def scheduled(
   }
 
 
-def _planned(
+def planned(
   plan: str | os.PathLike[str] | plan_lib.PlanFile,
   known: mode_set_lib.ModeSet,
 ) -> dict[str, Any]:

@@ -227,7 +227,7 @@ def test_a_notebook_shows_the_film(tmp_path: pathlib.Path) -> None:
 def test_a_film_of_a_plan_ends_when_the_robot_has_come_to_rest() -> None:
   """However long the plan rests: 1.5 s, of which it takes some to stand."""
   modes = library.mode_set('quickstart')
-  plan = lambda names, *pushes: recording._planned(
+  plan = lambda names, *pushes: recording.planned(
     plan_lib.PlanFile(
       plan_lib.ModePlan(names, 0.3), plan_lib.Course('flat', pushes=pushes)
     ),
