@@ -10,6 +10,7 @@ from dmc_multimode.planner import selector as selector_lib
 from dmc_multimode.planner import steering
 from dmc_multimode.viewer import autopilot
 from dmc_multimode.viewer import session as session_lib
+from tests.viewer import stepping
 
 
 @pytest.fixture(scope='module')
@@ -24,23 +25,16 @@ def session(selector: selector_lib.Selector) -> session_lib.LiveSession:
   )
 
 
-def _steps(session: session_lib.LiveSession, seconds: float) -> int:
-  return round(seconds / session.robot.task.control_timestep)
-
-
 def test_it_goes_forwards_until_somebody_commands(
   session: session_lib.LiveSession,
 ) -> None:
   session.set_autopilot(True)
-  for _ in range(_steps(session, 4.0)):
-    state = session.step()
-    assert not state.down
+  state = stepping.run(session, 4.0, lambda state: state.down)
+  assert not state.down
   assert state.step.position[0] > 1.0
   session.command('idle')
   assert not session.autopilot
-  for _ in range(_steps(session, 1.0)):
-    state = session.step()
-  assert state.running == 'idle'
+  assert stepping.run(session, 1.0).running == 'idle'
 
 
 def test_it_chooses_once_a_knot(
@@ -49,7 +43,7 @@ def test_it_chooses_once_a_knot(
   pilot = autopilot.Autopilot(
     selector, pretrained.load('pi2'), session.robot, goal=(2.0, 0.0, 0.5)
   )
-  knot = _steps(session, selector.knot_duration)
+  knot = round(selector.knot_duration / session.robot.task.control_timestep)
   chosen = [pilot.choose() is not None for _ in range(3 * knot)]
   assert np.flatnonzero(chosen).tolist() == [0, knot, 2 * knot]
 

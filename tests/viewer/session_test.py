@@ -2,7 +2,6 @@
 
 import functools
 import time
-from typing import Callable
 
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ from dmc_multimode.planner import beam_search
 from dmc_multimode.suite.imitation import events
 from dmc_multimode.viewer import disturbing
 from dmc_multimode.viewer import session as session_lib
+from tests.viewer import stepping
 
 _PATIENCE = 120.0  # Seconds for a search.
 
@@ -21,36 +21,23 @@ def session() -> session_lib.LiveSession:
   return session_lib.LiveSession(pretrained.load('pi2'))
 
 
-def _run(
-  session: session_lib.LiveSession,
-  seconds: float,
-  until: Callable[[session_lib.LiveState], bool] = lambda state: False,
-) -> session_lib.LiveState:
-  """Steps the session for so long, or until something is so."""
-  for _ in range(round(seconds / session.robot.task.control_timestep)):
-    state = session.step()
-    if until(state):
-      break
-  return state
-
-
 def _runs(running: str, state: session_lib.LiveState) -> bool:
   return state.running == running
 
 
 def test_launch_lands_on_the_block(session: session_lib.LiveSession) -> None:
   session.set_arena('flat')
-  state = _run(session, 0.6)
+  state = stepping.run(session, 0.6)
   assert (state.step.mode, state.down, state.notice) == ('idle', False, '')
   assert state.step.position[2] == pytest.approx(0.5, abs=0.06)
   assert 0.5 < state.step.reward <= 1
   session.command('launch')
-  state = _run(session, 2.1)
+  state = stepping.run(session, 2.1)
   assert (state.step.mode, state.down) == ('launch', False)
   assert state.step.position[2] == pytest.approx(0.9, abs=0.06)
   assert state.step.height == pytest.approx(0.5, abs=0.06)
   session.reset()
-  state = _run(session, 0.3)
+  state = stepping.run(session, 0.3)
   assert state.step.mode == 'idle'
   assert state.step.position[2] == pytest.approx(0.5, abs=0.06)
 
@@ -74,22 +61,22 @@ def test_the_clock_rate_lasts(session: session_lib.LiveSession) -> None:
 
 def test_pushes_move_and_are_seen(session: session_lib.LiveSession) -> None:
   session.set_arena('flat')
-  _run(session, 0.3)
+  stepping.run(session, 0.3)
   before = session.robot.task.observation['velocity'][0].copy()
   session.push((0.0, 0.5))
   seen = session.robot.task.observation['velocity'][0] - before
   assert np.linalg.norm(seen) == pytest.approx(0.5, abs=1e-6)
-  assert _run(session, 0.15).step.position[1] > 0.01
+  assert stepping.run(session, 0.15).step.position[1] > 0.01
 
 
 def test_a_fall_is_told_and_undone(session: session_lib.LiveSession) -> None:
   session.set_arena('flat')
   for _ in range(3):
     session.push((0.0, 3.0))
-  state = _run(session, 3.0, lambda state: state.down)
+  state = stepping.run(session, 3.0, lambda state: state.down)
   assert state.step.cause == 'base_height'
   assert state.notice == 'It has fallen.'
-  state = _run(session, 3.0, lambda state: not state.down)
+  state = stepping.run(session, 3.0, lambda state: not state.down)
   assert 'put back to the start' in state.notice
   assert not session.step().down
   assert abs(session.robot.position[1]) < 0.05
@@ -106,8 +93,8 @@ def test_a_robot_that_falls_on_the_endless_track_starts_on_new_ground(
   starts = session.robot.task.root_entity.terrain.starts.copy()
   for _ in range(3):
     session.push((0.0, 3.0))
-  _run(session, 3.0, lambda state: state.down)
-  state = _run(session, 3.0, lambda state: not state.down)
+  stepping.run(session, 3.0, lambda state: state.down)
+  state = stepping.run(session, 3.0, lambda state: not state.down)
   assert 'on new ground' in state.notice
   terrain = session.robot.task.root_entity.terrain
   assert not np.array_equal(terrain.starts, starts)
@@ -126,7 +113,7 @@ def test_a_state_that_is_not_finite_is_told_and_undone(
   state = session.step()
   assert (state.down, state.step.cause) == (True, 'non_finite')
   assert 'not finite' in state.notice
-  state = _run(session, 3.0, lambda state: not state.down)
+  state = stepping.run(session, 3.0, lambda state: not state.down)
   assert 'put back to the start' in state.notice
   assert np.isfinite(session.robot.physics.data.qpos).all()
   assert session.step().step.cause == 'none'
@@ -155,7 +142,7 @@ def test_plan_and_replay() -> None:
   session.replay()
   assert session.clock_rate == 1.0
   duration = state.plan.plan.duration
-  state = _run(session, duration)
+  state = stepping.run(session, duration)
   assert state.replaying and state.plan
   # One world of a batch and Composer's physics part by rounding alone.
   np.testing.assert_allclose(
@@ -201,7 +188,7 @@ def test_speed_of_gaits(session: session_lib.LiveSession) -> None:
   assert task.mode == 'walk_forward'
   session.command('leap_forward')  # It has no slower one.
   session.set_speed(0.3)
-  assert _run(session, 3.0, lambda s: s.step.mode == 'leap_forward')
+  assert stepping.run(session, 3.0, lambda s: s.step.mode == 'leap_forward')
   session.set_speed(1.0)
 
 
@@ -219,14 +206,14 @@ def test_blends(session: session_lib.LiveSession) -> None:
   ):
     session.blend(first, second, share)
     blended = functools.partial(_runs, running)
-    state = _run(session, 3.0, blended)
+    state = stepping.run(session, 3.0, blended)
     assert (state.running, state.step.mode) == (running, main)
 
 
 def test_disturbances_change_where_the_robot_is() -> None:
   session = session_lib.LiveSession(pretrained.load('pi2'))
   session.command('walk_forward')
-  _run(session, 1.0)
+  stepping.run(session, 1.0)
   x = session.robot.position[0]
   model = session.robot.physics.model
   before = {
@@ -264,13 +251,13 @@ def test_disturbances_change_where_the_robot_is() -> None:
 
 def test_survival_is_counted() -> None:
   session = session_lib.LiveSession(pretrained.load('quickstart'))
-  assert _run(session, 0.9).survival == pytest.approx((0.9, 0, 0.9))
+  assert stepping.run(session, 0.9).survival == pytest.approx((0.9, 0, 0.9))
   for _ in range(3):
     session.push((0.0, 3.0))
-  state = _run(session, 3.0, lambda state: state.down)
+  state = stepping.run(session, 3.0, lambda state: state.down)
   assert (state.survival.up, state.survival.falls) == (0, 1)
-  state = _run(session, 3.0, lambda state: not state.down)
-  state = _run(session, 0.3)
+  state = stepping.run(session, 3.0, lambda state: not state.down)
+  state = stepping.run(session, 0.3)
   assert 0.3 <= state.survival.up < 0.4
   assert state.survival.falls_per_minute == pytest.approx(
     60 / state.survival.seconds
@@ -279,7 +266,7 @@ def test_survival_is_counted() -> None:
   assert session.step().survival.falls == 0
   # It is not what the survival depends on alone: random pushes do come.
   session.disturb(push_speed=2.0)
-  assert _run(session, 30.0, lambda state: state.down).down
+  assert stepping.run(session, 30.0, lambda state: state.down).down
 
 
 def test_next_and_previous_modes(session: session_lib.LiveSession) -> None:
