@@ -36,8 +36,8 @@ OUT := out
 SCHEDULE := walk_forward:2.4,leap_forward:2.4,launch:2,leap_forward:2.4,idle:2
 
 # What `make retrain` trains, one after the other.
-EXPERIMENTS ?= pi2 pi1 pi2_paper pi2_uniform pi1_paper pi1_uniform pi3 pi3_paper \
-  pi_all pi2_one_hot unimodal_idle unimodal_walk unimodal_leap unimodal_launch
+EXPERIMENTS ?= pi2 pi2_parkour pi1 pi2_paper pi2_uniform pi1_paper pi1_uniform pi3 \
+  pi3_paper pi_all pi2_one_hot unimodal_idle unimodal_walk unimodal_leap unimodal_launch
 
 # The pinned build is the CPU one where the index offers it.
 TORCH ?= $(if $(shell nvidia-smi -L 2>/dev/null),torch,torch==2.13.0)
